@@ -20,9 +20,9 @@ NOMINAL = np.array([40.0, 15.0])  # N·m
 INDEX = (np.array([0, 1, 2]), np.array([1, 3, 4]))
 
 
-def shape(name: str, nonlinear: int = 0, usual: bool = False, once: bool = False) -> Any:
+def shape(name: str, nonlinear: int = 0, usual: bool = False, transient: bool = False) -> Any:
     """As much of an effect as evidence needs: `nonlinear` parameters were chosen on the data."""
-    methods = {"counted": lambda settings: nonlinear + len(settings), "happens_once": lambda settings: once}
+    methods = {"counted": lambda settings: nonlinear + len(settings), "happens_once": lambda settings: transient}
     methods |= {"plausible": lambda settings, values: values["a"] > len(settings) - 1}
     methods |= {
         "possible": lambda arm, joints, settings, values: values["a"] < len(joints) + len(settings) * arm.scale[0]

@@ -16,20 +16,20 @@ from .gap.regime_shares import (
     motor_phase_share as motor_phase_share,
 )
 from .hypotheses.evidence import Evidence as Evidence
-from .hypotheses.finding import Finding as Finding, Hypothesis as Hypothesis
 from .hypotheses.healthy import with_healthy_effects as with_healthy_effects
 from .hypotheses.law import LAW as LAW
 from .hypotheses.noise_model import smooth_columns as smooth_columns
 from .hypotheses.search import Search as Search
+from .hypotheses.selected_causes import Hypothesis as Hypothesis, SelectedCauses as SelectedCauses
 from .hypotheses.testability import smallest_sizes as smallest_sizes
 from .labels import could_show as could_show, in_torque as in_torque, shown as shown, torque_gap as torque_gap
 from .limits import LIMITS as LIMITS
 from .position_logs.workflow import without_torque as without_torque
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
-from .rows.candidate import Candidate as Candidate, Place as Place
-from .rows.dataset import Dataset as Dataset, background_of as background_of
+from .rows.candidate import Candidate as Candidate, HypothesisKey as HypothesisKey
+from .rows.dataset import Dataset as Dataset, noise_level as noise_level
 from .rows.fit import Fit as Fit
-from .rows.needs import Excursions as Excursions
+from .rows.needs import MotionCoverage as MotionCoverage
 from .sizes import (
     amplitude as amplitude,
     leading_parameter as leading_parameter,

@@ -17,7 +17,7 @@ from agent.simulators import Correction, PositionServos, Released, Simulator, co
 
 def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
     """What the simulator's numbers should be, by all logs or by all but one (`without`)."""
-    fit, names = diagnosis.finding.fit, simulator.arm.joint_names
+    fit, names = diagnosis.selected.fit, simulator.arm.joint_names
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
     b = len(simulator.model.independent)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.repeat
@@ -41,7 +41,7 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
     effects += reversing
     reasons |= {(one.effect, one.joints): "how friction reverses" for one in reversing}
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
-    unexplained = fit.error(fit.once) / fit.repeat
+    unexplained = fit.error(fit.transient) / fit.repeat
     found = correct(simulator, of_model, weight, unexplained, inertia, effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap
     model = replace(
@@ -82,7 +82,7 @@ def held_out_errors(diagnosis: Diagnosis, simulator: Simulator) -> tuple[np.ndar
     Of the arm that the file can say, with its effects: bodies that could exist, no friction below zero, friction that
     reverses at once. What the fit gains and these lose is no gain.
     """
-    fit, dataset = diagnosis.finding.fit, diagnosis.dataset
+    fit, dataset = diagnosis.selected.fit, diagnosis.dataset
     given, left = diagnosis.gap.raw, np.full(diagnosis.gap.raw.shape, np.nan)
     as_given = _predicted(fit, simulator.model)
     for number, fold in enumerate(fit.folds):

@@ -24,7 +24,7 @@ from agent.diagnosis.gap.held_torque import HeldTorque
 from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regime_shares import regimes, share_intervals
 from agent.diagnosis.gap.torque_gap import HeldOutGap
-from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.hypotheses.testability import not_testable, power, smallest_sizes
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
@@ -50,7 +50,7 @@ class Diagnosis:
     """
 
     document: DiagnosisResult
-    finding: Finding
+    selected: SelectedCauses
     dataset: Dataset
     motion: MotionGap | None
     gap: HeldOutGap
@@ -71,8 +71,8 @@ class Diagnosis:
     def result(self) -> dict[str, Any]:
         """The document as plain data, with the 95 % intervals of every cause's parameters; numbers have ranges."""
         joints = self.dataset.robot.joint_names
-        places = [(c.effect.name, tuple(joints[j] for j in c.joints)) for c in self.finding.causes]
-        found = dict(zip(places, intervals(self.finding), strict=True))
+        places = [(c.effect.name, tuple(joints[j] for j in c.joints)) for c in self.selected.causes]
+        found = dict(zip(places, intervals(self.selected), strict=True))
         own = [found.get((cause.effect, cause.joints), {}) for cause in self.document.causes]
         return {**self.document.to_dict(), "intervals": own}
 
@@ -88,7 +88,7 @@ def build(
 
     `held`: the torque that stands still where most of the gap is.
     """
-    dataset, finding, gap = found.dataset, found.finding, found.as_given
+    dataset, selected, gap = found.dataset, found.selected, found.as_given
     closure = gap.closure if found.of_file and gap.closure is not None else verdict.closure
     where, causes = _where(dataset, gap), _with_figures(found, verdict.causes)
     smallest = smallest_sizes(dataset, found.search.evidence)
@@ -107,7 +107,7 @@ def build(
         where,
         causes,
         tuple(not_testable(dataset, found.search, smallest)),
-        next_experiment(causes, verdict.name, where, finding.zero_known)
+        next_experiment(causes, verdict.name, where, selected.zero_known)
         if held is None
         else NextExperiment((), held.motion),
         _folds(dataset),
@@ -115,19 +115,19 @@ def build(
         found.steps,
         tuple(
             Rejected(effect, tuple(dataset.robot.joint_names[j] for j in joints), why)
-            for (effect, joints), why in finding.rejected
+            for (effect, joints), why in selected.rejected
         ),
         () if verdict.name == "no_gap" else tuple(remainders(dataset, gap)),
         tuple(power(dataset, found.search, smallest)),
         dataset.model_error,
         **({} if dataset.servos is None else servo_table(found)),
     )
-    return Diagnosis(document, finding, dataset, motion, gap, found.released if found.of_file else None, held)
+    return Diagnosis(document, selected, dataset, motion, gap, found.released if found.of_file else None, held)
 
 
 def _with_figures(found: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with their part of the gap of the model as given, and whether their joints slide."""
-    figures = causes_of(found.dataset, found.finding, found.as_given) if found.of_file else ()
+    figures = causes_of(found.dataset, found.selected, found.as_given) if found.of_file else ()
     of_all = {(cause.effect, cause.joints): cause for cause in figures}
     same = [of_all.get((cause.effect, cause.joints), cause) for cause in causes]
     sliding = {joint.name for joint in found.dataset.robot.joints if joint.prismatic}
@@ -144,22 +144,22 @@ def _with_figures(found: Explanation, causes: Sequence[Cause]) -> tuple[Cause, .
 
 def _warnings(found: Explanation, verdict: Verdict) -> Iterator[str]:
     """What is left of the gap where no effect is named, and what is taken for known and may be what nobody explains."""
-    dataset, finding, gap = found.dataset, found.finding, found.as_given
+    dataset, selected, gap = found.dataset, found.selected, found.as_given
     names, usual = dataset.robot.joint_names, dataset.model.held_out_rmse
-    if found.of_file and finding.leaves_gap and verdict.causes and not finding.causes:
+    if found.of_file and selected.leaves_gap and verdict.causes and not selected.causes:
         yield (
             f"corrected simulator parameters leave {100 * (1 - gap.absorbed):.1f} % of the gap, and no known effect "
             "explains it; compared with a usual simulator it is largest on "
             f"{names[int(np.argmax(gap.after * gap.unit / usual))]}"
         )
-    if not found.of_file and dataset.given and not finding.causes:
+    if not found.of_file and dataset.given and not selected.causes:
         if (absorbed := found.gap.absorbed) > 1 - LIMITS.explained:
             yield (
                 f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
                 "uncertainty: estimate it again with motions like these"
             )
         error = gap.before * gap.unit / usual
-        if not finding.leaves_gap and error.max() > LIMITS.usual_error:
+        if not selected.leaves_gap and error.max() > LIMITS.usual_error:
             yield (
                 f"the error of {names[int(error.argmax())]} is {error.max():.1f} {LARGE_ERROR}, which may differ from "
                 "day to day on a healthy arm: record more logs, or estimate the model again"

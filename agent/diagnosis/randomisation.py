@@ -38,7 +38,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     """All numbers that the diagnosis moved or found, as the correction writes them; empty without a simulator file."""
     if diagnosis.released is None:
         return ()
-    fit, found = diagnosis.finding.fit, diagnosis.released
+    fit, found = diagnosis.selected.fit, diagnosis.released
     model, robot, arm = diagnosis.dataset.model, diagnosis.dataset.robot, correction.arm
     p, b, first = len(diagnosis.dataset.held), len(model.independent), len(model.values)
     change = fit.fitted()[0]
@@ -53,7 +53,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     prior = np.eye(spread.shape[1])
     prior[count:, count:] = fit.prior[p:, p:]
     covariance = np.linalg.inv(spread.T @ information @ spread + prior)
-    energy = np.nanmean((fit.out_of_fold(fit.once) / fit.sigma) ** 2)
+    energy = np.nanmean((fit.out_of_fold(fit.transient) / fit.sigma) ** 2)
     deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
     result, at = [], 0
     for group in found.groups:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from agent.core import plus_minus
-from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.model import CATALOGUE
 
 #: What a cause is called large by, in the order of preference.
@@ -93,7 +93,7 @@ def leading_parameter(cause: Mapping[str, Any]) -> str | None:
     return next((names[name] for name in _LEADING if name in names), None) or next(with_unit, None)
 
 
-def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
+def intervals(selected: SelectedCauses) -> list[dict[str, tuple[float, float]]]:
     """Of every cause the 95 % intervals of its fitted parameters: the wider of what leaving motions out gives, and
     halves of them, as two motions may agree by chance.
 
@@ -101,17 +101,17 @@ def intervals(finding: Finding) -> list[dict[str, tuple[float, float]]]:
     Parameters that are chosen from a grid have none. Of what happens once every fold of motions holds all or nothing:
     it has those of the short segments that it is judged by.
     """
-    fit = finding.fit
+    fit = selected.fit
     motions, halves = ([fit.fitted(fold)[1] for fold in folds] for folds in (fit.folds, fit.single))
     found = []
-    for number, candidate in enumerate(finding.causes):
+    for number, candidate in enumerate(selected.causes):
         settings = {name: float(value) for name, value in candidate.settings.items()}
 
         def reported(values: np.ndarray, candidate: Any = candidate, settings: Any = settings) -> dict[str, float]:
             named = {name: float(value) for name, value in zip(candidate.names, values, strict=True)}
             return dict(candidate.effect.reported(fit.reference, settings, named))
 
-        groups = (halves,) if candidate.once else (motions, halves)
+        groups = (halves,) if candidate.transient else (motions, halves)
         parts = [[reported(values[number]) for values in group] for group in groups]
         entry = {}
         for name, value in reported(fit.values[number]).items():

@@ -59,7 +59,7 @@ def _by_any_name(found: Diagnosis) -> bool:
     """Whether what equals the causes predicts as they do: a straight line over position is a spring or a hose."""
     if found.verdict != "ambiguous":
         return False
-    causes = zip(found.finding.causes, found.finding.rivals, strict=True)
+    causes = zip(found.selected.causes, found.selected.rivals, strict=True)
     return all(
         "position" in cause.effect.shapes and joints == cause.joints and name in cause.effect.structurally_equivalent
         for cause, rivals in causes

@@ -22,8 +22,8 @@ import numpy as np
 from agent.diagnosis.document import Cause, EffectPlace
 from agent.diagnosis.gap.adequacy import shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
-from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset
@@ -39,7 +39,7 @@ class Verdict:
 
 
 def decide_verdict(
-    finding: Finding,
+    selected: SelectedCauses,
     causes: Sequence[Cause],
     closure: float | None,
     path: Sequence[Cause] | None = None,
@@ -50,7 +50,7 @@ def decide_verdict(
 
     Parameters
     ----------
-    `finding`, `causes`, `closure`
+    `selected`, `causes`, `closure`
         What `named` and `supported` leave of a finding, its causes, and the part of the gap that they close, held out.
     path : sequence of Cause, optional
         A rate, delay or rounding that all motions share, if the executed path is not the planned one; empty if it may
@@ -60,9 +60,9 @@ def decide_verdict(
     """
     if (by_effects := _explanation(causes, closure)) is not None:
         return replace(by_effects, causes=(*by_effects.causes, *filter(has_size, path or ())))
-    if path and not finding.leaves_gap and (by_path := _explanation(path, path[0].closure)) is not None:
+    if path and not selected.leaves_gap and (by_path := _explanation(path, path[0].closure)) is not None:
         return by_path
-    gap = finding.leaves_gap or path is not None
+    gap = selected.leaves_gap or path is not None
     enough = by_numbers > (1 - LIMITS.least_share if gap else 0.0)
     if enough and (of_file := _explanation(numbers, by_numbers)) is not None:
         return of_file
@@ -70,7 +70,7 @@ def decide_verdict(
 
 
 def decide_by_position(
-    finding: Finding, causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None
+    selected: SelectedCauses, causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None
 ) -> Verdict:
     """Return the verdict on positions: effects and moved numbers together, and last the delay of the command.
 
@@ -81,7 +81,7 @@ def decide_by_position(
     )
     if sized and (found := _explanation(sized, closure)) is not None:
         return found
-    return Verdict("unknown" if finding.leaves_gap or sized else "no_gap", (), closure)
+    return Verdict("unknown" if selected.leaves_gap or sized else "no_gap", (), closure)
 
 
 def _explanation(causes: Sequence[Cause], closure: float | None) -> Verdict | None:
@@ -103,28 +103,32 @@ def has_size(cause: Cause) -> bool:
     return max(closes) >= LIMITS.least_share and all(map(isfinite, (*closes, *values))) and any(values)
 
 
-def named(finding: Finding) -> Finding:
+def named(selected: SelectedCauses) -> SelectedCauses:
     """Return what is named of the leading causes by its probability.
 
     None if the arm is likely healthy, if no class is sure enough, or if all causes leave too much to the noise model. A
     cause whose equal by definition was ignored is not named alone: the likeliest other one is its rival.
     """
-    exceeded = finding.scale >= LIMITS.usual_error**2
-    if not exceeded and finding.healthy > 1 - LAW.certain:
-        return finding.without_causes(leaves_gap=False)
-    sure = [k for k, probability in enumerate(finding.probability) if probability >= LAW.sure]
-    if not sure or finding.explained < LIMITS.explained:
-        return finding.without_causes(leaves_gap=True)
-    finding = replace(finding.only(sure), leaves_gap=exceeded)
+    exceeded = selected.scale >= LIMITS.usual_error**2
+    if not exceeded and selected.healthy > 1 - LAW.certain:
+        return selected.without_causes(leaves_gap=False)
+    sure = [k for k, probability in enumerate(selected.probability) if probability >= LAW.sure]
+    if not sure or selected.explained < LIMITS.explained:
+        return selected.without_causes(leaves_gap=True)
+    selected = replace(selected.only(sure), leaves_gap=exceeded)
     lonely = []
-    for k, cause in enumerate(finding.causes):
-        if not finding.rivals[k] and not finding.ignored.isdisjoint(cause.effect.structurally_equivalent):
-            finding = finding.with_runner_up(k)
-            lonely += [] if finding.rivals[k] else [k]
-    return finding.only([k for k in range(len(finding.causes)) if k not in lonely], leaves_gap=exceeded or bool(lonely))
+    for k, cause in enumerate(selected.causes):
+        if not selected.rivals[k] and not selected.ignored.isdisjoint(cause.effect.structurally_equivalent):
+            selected = selected.with_runner_up(k)
+            lonely += [] if selected.rivals[k] else [k]
+    return selected.only(
+        [k for k in range(len(selected.causes)) if k not in lonely], leaves_gap=exceeded or bool(lonely)
+    )
 
 
-def supported(dataset: Dataset, finding: Finding, unit: np.ndarray | None = None) -> tuple[Finding, HeldOutGap]:
+def supported(
+    dataset: Dataset, selected: SelectedCauses, unit: np.ndarray | None = None
+) -> tuple[SelectedCauses, HeldOutGap]:
     """Return the named causes that held-out figures support, and these figures; `unit` is that of `held_out_gap`.
 
     If the causes close less than `explained` needs, another cause may exist: the likeliest one is named with the first.
@@ -133,29 +137,29 @@ def supported(dataset: Dataset, finding: Finding, unit: np.ndarray | None = None
     that by far.
     """
     while True:
-        gap = held_out_gap(dataset, finding.fit, unit)
-        if not finding.causes:
-            return finding, gap
-        if not finding.rivals[0] and (gap.closure or 0.0) < LIMITS.explained:
-            finding = finding.with_runner_up()
-        causes, lacking = causes_of(dataset, finding, gap), shortfalls(finding.fit, gap, finding.causes)
+        gap = held_out_gap(dataset, selected.fit, unit)
+        if not selected.causes:
+            return selected, gap
+        if not selected.rivals[0] and (gap.closure or 0.0) < LIMITS.explained:
+            selected = selected.with_runner_up()
+        causes, lacking = causes_of(dataset, selected, gap), shortfalls(selected.fit, gap, selected.causes)
         explanation = _explanation(causes, gap.closure)
         kept = () if explanation is None else explanation.causes
         if len(kept) == len(causes) and not any(lacking):
-            return finding, gap
+            return selected, gap
         if any(lacking):
-            kept, finding = causes, finding.with_rejected(lacking)
-        finding = finding.only(
+            kept, selected = causes, selected.with_rejected(lacking)
+        selected = selected.only(
             [k for k, cause in enumerate(causes) if cause in kept and not lacking[k]],
-            leaves_gap=finding.leaves_gap or any(lacking),
+            leaves_gap=selected.leaves_gap or any(lacking),
         )
 
 
-def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
+def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tuple[Cause, ...]:
     """Return the causes of a finding with their figures."""
-    fit, joints = finding.fit, dataset.robot.joint_names
-    taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(finding.causes))]
-    parts = zip(finding.causes, taken_out, fit.values, finding.rivals, finding.probability, strict=True)
+    fit, joints = selected.fit, dataset.robot.joint_names
+    taken_out = [fit.out_of_fold(fit.transient, number) for number in range(len(selected.causes))]
+    parts = zip(selected.causes, taken_out, fit.values, selected.rivals, selected.probability, strict=True)
     return tuple(
         Cause(
             candidate.effect.name,
@@ -166,7 +170,7 @@ def causes_of(dataset: Dataset, finding: Finding, gap: HeldOutGap) -> tuple[Caus
                 fit.reference, _floats(candidate.settings.items()), _floats(zip(candidate.names, values, strict=True))
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            gap.closure_on(candidate.joints, left) if _alone(finding.causes, number) else None,
+            gap.closure_on(candidate.joints, left) if _alone(selected.causes, number) else None,
         )
         for number, (candidate, left, values, rivals, probability) in enumerate(parts)
     )

@@ -76,13 +76,13 @@ def diagnose(
         observed = None if zero is None else as_evidence(zero, dataset.model)
         usual = None if model is None else healthy_on(dataset.fit, model, without)
         search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
-        finding = replace(named(search.run()), zero_known=zero is not None)
-        if (held := held_torque(dataset, finding.fit)) is not None:
-            finding = finding.without_causes(leaves_gap=True)
-        found = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *supported(dataset, finding))
+        selected = replace(named(search.run()), zero_known=zero is not None)
+        if (held := held_torque(dataset, selected.fit)) is not None:
+            selected = selected.without_causes(leaves_gap=True)
+        found = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *supported(dataset, selected))
     motion = motion_gap(logs)
     dataset = found.dataset
-    of_zero = () if zero is None else said_by_zero(dataset, found.finding, zero)
+    of_zero = () if zero is None else said_by_zero(dataset, found.selected, zero)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
     said = (*_warnings(robot, logs, model is not None), *_of_model(dataset), *beyond, *_path_warnings(motion))
     return build(found, _verdict(found, motion), motion, (*twice, *of_zero, *said), held)
@@ -91,13 +91,13 @@ def diagnose(
 def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
     """The verdict on causes, executed path and moved numbers of a simulator's file."""
     gap, by_numbers = found.gap if found.of_file else found.as_given, found.as_given.closure or 0.0
-    causes = causes_of(found.dataset, found.finding, gap)
-    numbers = causes_of_numbers(found.released, found.finding, found.as_given)
+    causes = causes_of(found.dataset, found.selected, gap)
+    numbers = causes_of_numbers(found.released, found.selected, found.as_given)
     if found.dataset.servos is not None:
-        return decide_by_position(found.finding, causes, numbers, gap.closure)
+        return decide_by_position(found.selected, causes, numbers, gap.closure)
     of_path = [name for name in effects_of_path() if name in found.search.allowed]
     path = None if motion is None else motion.causes(of_path)
-    verdict = decide_verdict(found.finding, causes, gap.closure, path, numbers, by_numbers)
+    verdict = decide_verdict(found.selected, causes, gap.closure, path, numbers, by_numbers)
     return with_numbers(verdict, found, numbers) if found.of_file else verdict
 
 

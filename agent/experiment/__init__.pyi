@@ -5,7 +5,7 @@ from .baselines import (
     pieces_otherwise as pieces_otherwise,
 )
 from .deadline import Deadline as Deadline, OutOfTime as OutOfTime
-from .outlook import Outlook as Outlook, tells_apart_by_load as tells_apart_by_load
 from .piece_choice import Expected as Expected, Experiment as Experiment, plan_experiment as plan_experiment
 from .pieces import KINDS as KINDS, Piece as Piece
 from .questions import OpenPair as OpenPair, open_pairs as open_pairs
+from .scorer import ExperimentScorer as ExperimentScorer, tells_apart_by_load as tells_apart_by_load

@@ -12,9 +12,9 @@ from agent.diagnosis import Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.baselines import d_optimal, together
 from agent.experiment.deadline import Deadline, OutOfTime
-from agent.experiment.outlook import Outlook, Told
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
+from agent.experiment.scorer import ExperimentScorer, InformationGain
 
 #: Number of drawn pieces, of which the best are combined, and number of neighbours tried for each of these.
 _POOL, _NEIGHBOURS = 240, 12
@@ -63,7 +63,7 @@ class Experiment:
         return sum(piece.duration for piece in self.pieces)
 
 
-Weighed = tuple[Piece, Told]
+Weighed = tuple[Piece, InformationGain]
 
 
 def plan_experiment(
@@ -84,7 +84,7 @@ def plan_experiment(
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
-    outlook = Outlook(found.dataset, found.finding.evidence, pairs, problem.load)
+    scorer = ExperimentScorer(found.dataset, found.selected.evidence, pairs, problem.load)
     longest = (1 - _WAYS) * seconds
     pieces = Pieces(problem, _joints(found, pairs), longest, np.random.default_rng(seed))
     pool: list[Weighed] = []
@@ -93,26 +93,24 @@ def plan_experiment(
         for number in range(_POOL):
             deadline.share(_DRAWN_BY)(f"motions that would tell more: {number + 1} of {_POOL} weighed")
             if (piece := pieces.draw()) is not None:
-                pool.append((piece, outlook.told(piece.motion)))
+                pool.append((piece, scorer.told(piece.motion)))
         cut_short = False
-    before = outlook.chances(outlook.nothing)
-    at_best = outlook.chances(_sum(outlook, pool))
+    before = scorer.chances(scorer.nothing)
+    at_best = scorer.chances(_sum(scorer, pool))
     asked = (at_best > np.maximum(np.nan_to_num(before), _WITHIN_REACH)) & (np.nan_to_num(before) < _SURE)
     if not asked.any():
         return Experiment((), (), len(pool), cut_short)
-    chosen = _varied(
-        outlook, pieces, _greedy(outlook, pool, _ASKED * longest, asked), _ASKED * longest, asked, deadline
-    )
+    chosen = _varied(scorer, pieces, _greedy(scorer, pool, _ASKED * longest, asked), _ASKED * longest, asked, deadline)
     design = together(
-        d_optimal(found.dataset, outlook.model_information),
+        d_optimal(found.dataset, scorer.model_information),
         [piece for piece, _ in pool],
         longest,
         [piece for piece, _ in chosen],
     )
     while design and not runnable(design):
         design.pop()
-    added = sum((outlook.told(piece.motion) for piece in design), outlook.nothing)
-    after, detectable = outlook.chances(added), outlook.minimum_detectable_sizes(added)
+    added = sum((scorer.told(piece.motion) for piece in design), scorer.nothing)
+    after, detectable = scorer.chances(added), scorer.minimum_detectable_sizes(added)
     expected = tuple(
         Expected(pairs[k], _mean(before[k]), _mean(after[k]), _known(before[k]), _known(after[k]), detectable[k])
         for k in map(int, np.flatnonzero(asked.any(axis=1)))
@@ -121,7 +119,12 @@ def plan_experiment(
 
 
 def _varied(
-    outlook: Outlook, pieces: Pieces, chosen: list[Weighed], longest: float, asked: np.ndarray, deadline: Deadline
+    scorer: ExperimentScorer,
+    pieces: Pieces,
+    chosen: list[Weighed],
+    longest: float,
+    asked: np.ndarray,
+    deadline: Deadline,
 ) -> list[Weighed]:
     """Neighbours of each chosen piece in its stead, where that tells more."""
     with suppress(OutOfTime):
@@ -129,9 +132,9 @@ def _varied(
             deadline(f"piece {number + 1} of {len(chosen)} is varied")
             if (other := pieces.vary(chosen[number][0])) is None:
                 continue
-            varied = [*chosen[:number], (other, outlook.told(other.motion)), *chosen[number + 1 :]]
+            varied = [*chosen[:number], (other, scorer.told(other.motion)), *chosen[number + 1 :]]
             fits = sum(piece.duration for piece, _ in varied) <= longest
-            if fits and _utility(outlook, varied, asked) > _utility(outlook, chosen, asked):
+            if fits and _utility(scorer, varied, asked) > _utility(scorer, chosen, asked):
                 chosen = varied
     return chosen
 
@@ -153,30 +156,30 @@ def _joints(found: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:
     return sorted({names.index(joint) for side in sides for joint in side.joints}) or list(range(len(names)))
 
 
-def _greedy(outlook: Outlook, pool: Sequence[Weighed], seconds: float, asked: np.ndarray) -> list[Weighed]:
+def _greedy(scorer: ExperimentScorer, pool: Sequence[Weighed], seconds: float, asked: np.ndarray) -> list[Weighed]:
     chosen: list[Weighed] = []
-    now = _utility(outlook, chosen, asked)
+    now = _utility(scorer, chosen, asked)
     while len(chosen) < _MOST_PIECES:
         left = seconds - sum(piece.duration for piece, _ in chosen)
         options = [entry for entry in pool if entry[0].duration <= left and all(entry[0] is not c[0] for c in chosen)]
         if not options:
             break
-        worth = [_utility(outlook, [*chosen, entry], asked) for entry in options]
+        worth = [_utility(scorer, [*chosen, entry], asked) for entry in options]
         best = int(np.argmax(worth))
         if worth[best] - now < _LEAST_IMPROVEMENT:
             break
         chosen, now = [*chosen, options[best]], worth[best]
-        if outlook.chances(_sum(outlook, chosen))[asked].min() > _SURE:
+        if scorer.chances(_sum(scorer, chosen))[asked].min() > _SURE:
             break
     return chosen
 
 
-def _sum(outlook: Outlook, chosen: Sequence[Weighed]) -> Told:
-    return sum((told for _, told in chosen), outlook.nothing)
+def _sum(scorer: ExperimentScorer, chosen: Sequence[Weighed]) -> InformationGain:
+    return sum((told for _, told in chosen), scorer.nothing)
 
 
-def _utility(outlook: Outlook, chosen: Sequence[Weighed], asked: np.ndarray) -> float:
+def _utility(scorer: ExperimentScorer, chosen: Sequence[Weighed], asked: np.ndarray) -> float:
     """Log odds of the pairs within reach, the worst first, then the others."""
-    chance = np.clip(outlook.chances(_sum(outlook, chosen))[asked], 1e-300, 1 - 1e-9)
+    chance = np.clip(scorer.chances(_sum(scorer, chosen))[asked], 1e-300, 1 - 1e-9)
     odds = np.minimum(np.log(chance / (1 - chance)), 4)
     return float(odds.min() + 0.3 * odds.mean())

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.diagnosis import Candidate, Diagnosis, Place
+from agent.diagnosis import Candidate, Diagnosis, HypothesisKey
 from agent.model import CATALOGUE
 
 #: Leading effects that are asked about where no effect explains the gap, and untested ones where nothing else is open.
@@ -24,7 +24,7 @@ class Side:
     form: Candidate | None
     values: np.ndarray
 
-    def place(self, joint_names: Sequence[str]) -> Place:
+    def place(self, joint_names: Sequence[str]) -> HypothesisKey:
         """Effect and joints from 0."""
         return self.effect, tuple(joint_names.index(name) for name in self.joints)
 
@@ -63,17 +63,17 @@ def open_pairs(found: Diagnosis) -> list[OpenPair]:
 
 
 def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
-    finding = found.finding
-    for number, (cause, rivals) in enumerate(zip(finding.causes, finding.rivals, strict=True)):
-        shared = tuple(c for k, c in enumerate(finding.causes) if k != number)
+    selected = found.selected
+    for number, (cause, rivals) in enumerate(zip(selected.causes, selected.rivals, strict=True)):
+        shared = tuple(c for k, c in enumerate(selected.causes) if k != number)
         forms = [cause, *(form for place in rivals if (form := _leading_form(found, place)) is not None)]
         for first, second in combinations([_side(found, form, shared) for form in forms], 2):
             yield OpenPair(first, second, shared)
 
 
-def _leading_form(found: Diagnosis, place: Place) -> Candidate | None:
+def _leading_form(found: Diagnosis, place: HypothesisKey) -> Candidate | None:
     """The form of an effect in the likeliest hypothesis that has it."""
-    forms = (c for hypothesis in found.finding.hypotheses for c in hypothesis.effects if c.place == place)
+    forms = (c for hypothesis in found.selected.hypotheses for c in hypothesis.effects if c.place == place)
     return next(forms, None)
 
 
@@ -84,7 +84,7 @@ def _side(found: Diagnosis, form: Candidate, shared: Sequence[Candidate]) -> Sid
 
 
 def _leading(found: Diagnosis) -> Iterator[OpenPair]:
-    ordered = sorted(found.finding.hypotheses, key=lambda h: -h.log_bayes_factor)
+    ordered = sorted(found.selected.hypotheses, key=lambda h: -h.log_bayes_factor)
     singles = [h.effects[0] for h in ordered if len(h.effects) == 1]
     for first, second in combinations([_side(found, form, ()) for form in singles[:_LEADING]], 2):
         yield OpenPair(first, second)
@@ -96,7 +96,7 @@ def _untested(found: Diagnosis) -> Iterator[OpenPair]:
     for entry in found.document.not_testable:
         effect = CATALOGUE[entry.effect]
         joints = () if entry.joint is None else tuple(names.index(name) for name in entry.joint.split(", "))
-        if effect.once or effect.shows_in != "torque" or joints not in effect.places(found.dataset.robot):
+        if effect.transient or effect.shows_in != "torque" or joints not in effect.places(found.dataset.robot):
             continue
         if not (settings := effect.settings(fit, joints)):
             continue

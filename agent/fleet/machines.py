@@ -15,7 +15,7 @@ from agent.runs import (
     MachineRuns,
     RunFigures,
     Trend,
-    alike,
+    comparable_runs,
     errors_by_joint,
     friction_trends,
     named_causes,
@@ -72,9 +72,9 @@ class FleetMachine:
         self.gap = _gap(rows[-1])
         figures = [_figures(rows[k], error) for k in known]
         if kind == "estimate":
-            series = friction_trends(alike(figures, "friction"), self.robot)
+            series = friction_trends(comparable_runs(figures, "friction"), self.robot)
         else:
-            series = _error_trends(alike(figures, "errors"), self.robot)
+            series = _error_trends(comparable_runs(figures, "errors"), self.robot)
         joints = dict.fromkeys(trend.joint for trend in series)
         self.trends = [_likeliest([trend for trend in series if trend.joint == joint]) for joint in joints]
 

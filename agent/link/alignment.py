@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.safety import is_there
+from agent.safety import is_standstill
 
 if TYPE_CHECKING:
     from agent.motion import Trajectory
@@ -56,7 +56,7 @@ class Aligner:
     def finish(self, write_planned: Callable[[np.ndarray, np.ndarray, np.ndarray], None]) -> list[float]:
         """Write the planned set-points; returns the controller times at which cycles start (all but the approach)."""
         segments, chains, approaches = self._segments.found, self._chains, 1
-        if len(segments) == len(chains) - 1 and is_there(chains[0]):
+        if len(segments) == len(chains) - 1 and is_standstill(chains[0]):
             chains, approaches = chains[1:], 0  # the arm stood at the first point already
         if not self._seen or not segments or len(segments) != len(chains):
             return []

@@ -24,7 +24,7 @@ from .elements import (
 )
 from .history import index_page as index_page
 from .phrasing import (
-    FOUR as FOUR,
+    SUMMARY_KEYS as SUMMARY_KEYS,
     chances_text as chances_text,
     closes as closes,
     diagnosis_summary as diagnosis_summary,
@@ -34,7 +34,6 @@ from .phrasing import (
     place as place,
     summary as summary,
     verdict_text as verdict_text,
-    what as what,
 )
 from .plots import (
     SERIES as SERIES,

@@ -35,7 +35,7 @@ REGIMES = {
     "motor_phase": "with the motor's angle",
 }
 #: The four things, by their key in a result's `summary`.
-FOUR = {"where": "Where", "what": "What", "how_sure": "How sure", "next": "Next"}
+SUMMARY_KEYS = {"where": "Where", "what": "What", "how_sure": "How sure", "next": "Next"}
 #: Title of the page's section on what these motions cannot show.
 NOT_TESTABLE = "Not testable here"
 _NO_GAP = "no gap: model and robot agree within what may differ on a healthy arm"
@@ -54,7 +54,7 @@ def place(entry: Mapping[str, Any]) -> str:
     return " and ".join(entry["joints"]) or "the whole arm"
 
 
-def what(effect: str, result: Mapping[str, Any]) -> str:
+def effect_phrase(effect: str, result: Mapping[str, Any]) -> str:
     """Description of an effect, with its name in brackets."""
     return f"{_words(effect, result)[0]} ({effect})"
 
@@ -76,7 +76,7 @@ def verdict_text(result: Mapping[str, Any]) -> str:
     Corrected parameters of a simulator may close nearly all of a gap though no effect of the catalogue was found.
     """
     if result["causes"]:
-        return "; ".join(f"{what(cause['effect'], result)} on {place(cause)}" for cause in result["causes"])
+        return "; ".join(f"{effect_phrase(cause['effect'], result)} on {place(cause)}" for cause in result["causes"])
     closed = sum(step["closes"] for step in result.get("waterfall", ())[:-1])
     if result["verdict"] == "unknown" and closed > 0:
         return (
@@ -102,7 +102,7 @@ def headline(result: Mapping[str, Any]) -> str:
     cause = result["causes"][0]
     sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
     agrees = "" if torque_gap(result) else f" {_in_torque(result)}"
-    more = "".join(f" Also on {place(one)}: {what(one['effect'], result)}." for one in result["causes"][1:])
+    more = "".join(f" Also on {place(one)}: {effect_phrase(one['effect'], result)}." for one in result["causes"][1:])
     return f"{_numbers_first(result)}{_opening(cause)}{sure}: {_one_of(cause, result)}.{more}{agrees}"
 
 
@@ -134,11 +134,11 @@ def _opening(cause: Mapping[str, Any]) -> str:
 def _one_of(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     """A cause and the rivals that these logs cannot distinguish from it, with their joints if these differ."""
     others = [
-        what(other["effect"], result) + ("" if other["joints"] == cause["joints"] else f" on {place(other)}")
+        effect_phrase(other["effect"], result) + ("" if other["joints"] == cause["joints"] else f" on {place(other)}")
         for other in cause["equivalent_to"]
     ]
     more = [f"one of {len(others) - _MOST_OTHERS} others"] if len(others) > _MOST_OTHERS + 1 else others[_MOST_OTHERS:]
-    return ", or ".join([what(cause["effect"], result), *others[:_MOST_OTHERS], *more])
+    return ", or ".join([effect_phrase(cause["effect"], result), *others[:_MOST_OTHERS], *more])
 
 
 def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
@@ -180,7 +180,7 @@ def parameter_text(result: Mapping[str, Any], number: int, key: str) -> str:
     cause = result["causes"][number]
     interval = _intervals(result, number).get(key)
     value, about = float(cause["parameters"][key]), ""
-    if interval is None and not value.is_integer() and not CATALOGUE[cause["effect"]].once:
+    if interval is None and not value.is_integer() and not CATALOGUE[cause["effect"]].transient:
         value, about = float(f"{value:.2g}"), "about "
     return about + size_text(cause, key, value, interval)
 
@@ -274,7 +274,8 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
             if figures:
                 yield f"{'The first' if cause['equivalent_to'] else 'It'} {figures}."
         else:
-            yield f"Also on {place(cause)}: {what(cause['effect'], result)}{f', which {figures}' if figures else ''}."
+            which = f", which {figures}" if figures else ""
+            yield f"Also on {place(cause)}: {effect_phrase(cause['effect'], result)}{which}."
     if result["gap"].get("of") == "position":
         yield "No torque was measured: the simulator runs under the recorded command, and its motion is judged."
     yield from remainder_sentences(result)
@@ -295,7 +296,7 @@ def remainder_sentences(result: Mapping[str, Any]) -> Iterator[str]:
         text = f"{entry['joint']} keeps {entry['size']:.1f} times what a healthy arm may leave"
         yield f"{text}{f', mostly {where}' if where else ''}; {shape}."
     for entry in result.get("rejected", ()):
-        yield f"Not named: {what(entry['effect'], result)} on {place(entry)}, as {entry['why']}."
+        yield f"Not named: {effect_phrase(entry['effect'], result)} on {place(entry)}, as {entry['why']}."
 
 
 def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:

@@ -20,7 +20,7 @@ from agent.link import Recording, open_link
 from agent.model import IdentifiedModel
 from agent.motion import Move, Target
 from agent.pipeline.ending import current_run
-from agent.pipeline.gap.finding import Found
+from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.identify import check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome
@@ -269,8 +269,8 @@ def _record(job: Job, reference: Reference) -> Recording:
 def _with_further_motions(job: Job, model: IdentifiedModel, log: Log) -> tuple[dict[str, Any], BaseException | None]:
     """Diagnose with further motions, as far as the authorisation releases them; what cut them short, if anything."""
 
-    def find(further: Sequence[Path]) -> Found:
-        return Found(diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model))
+    def find(further: Sequence[Path]) -> DiagnosisRun:
+        return DiagnosisRun(diagnose(model.robot, [log, *(read_log(path, model.robot) for path in further)], model))
 
     assert job.allowed is not None
     assert job.allowed.document.new_motions is not None

@@ -50,7 +50,7 @@ from .trends import (
     RunFigures as RunFigures,
     Trend as Trend,
     Watch as Watch,
-    alike as alike,
+    comparable_runs as comparable_runs,
     errors_by_joint as errors_by_joint,
     friction_trends as friction_trends,
     parameter_trends as parameter_trends,

@@ -218,7 +218,7 @@ class Watch:
         }
 
 
-def alike(figures: Sequence[RunFigures], name: str) -> tuple[RunFigures, ...]:
+def comparable_runs(figures: Sequence[RunFigures], name: str) -> tuple[RunFigures, ...]:
     """The runs with as many figures of a name as the latest; none where they are too few for a trend."""
     found = tuple(one for one in figures if len(getattr(one, name)) == len(getattr(figures[-1], name)))
     return found if len(found) >= FEWEST else ()
@@ -255,7 +255,7 @@ def watch(runs: Sequence[PastRun]) -> list[Watch]:
             groups.setdefault((run.robot, run.serial, run.program), []).append(run)
     found = []
     for key, group in groups.items():
-        if figures := alike([_figures(run) for run in group[-WINDOW:]], "friction"):
+        if figures := comparable_runs([_figures(run) for run in group[-WINDOW:]], "friction"):
             trends = friction_trends(figures)
             _decide(trends, len(figures[-1].friction))
             warnings = _warnings(figures, group[-1].data, trends)

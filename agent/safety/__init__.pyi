@@ -8,7 +8,7 @@ from .first_run import (
     slow_text as slow_text,
 )
 from .guard import GuardedLink as GuardedLink
-from .planned_program import PlannedProgram as PlannedProgram, is_there as is_there, pauses as pauses
+from .planned_program import PlannedProgram as PlannedProgram, is_standstill as is_standstill, pauses as pauses
 from .preconditions import (
     check_frames as check_frames,
     check_identity as check_identity,

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.safety.freshness import CREEPS, FROZEN, Frozen
-from agent.safety.planned_program import is_there
+from agent.safety.planned_program import is_standstill
 from agent.safety.reference_path import ReferencePath
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class Adherence:
         self._robot = robot
         self._margin = max(margin, SMALLEST_MARGIN)
         self._dynamics = Dynamics(robot, tool)
-        if len(chains) > 1 and is_there(chains[0]):
+        if len(chains) > 1 and is_standstill(chains[0]):
             chains = chains[1:]
         self._path = ReferencePath.of(chains, self._dynamics, self._margin, robot.max_velocity)
         self._frozen = Frozen(robot.max_velocity, GAP)
@@ -204,7 +204,7 @@ class Adherence:
         fits, speed = self._fitting(what, leading, allowed, time, ways)
         reached = np.zeros(len(ways), dtype=bool)
         reached[: len(self._fits)] = self._fits
-        firsts, lasts, reached = path.lay(fits, reached, first, passed, ahead, GAP, ALLOWANCE)
+        firsts, lasts, reached = path.match_samples(fits, reached, first, passed, ahead, GAP, ALLOWANCE)
         if (k := len(firsts)) != len(time):
             return self._wrong(what, leading[k], speed[k], allowed, time[k], ways[reached])
         self._first, self._fits = int(firsts[-1]), reached[firsts[-1] - first : lasts[-1] - first + 1]

@@ -292,7 +292,7 @@ class GuardedLink:
         """Close the link; the arm is stopped first, where something has kept that from happening. Never raises."""
         watch, self._watch = self._watch, None
         if watch is not None:
-            for _ in watch.rest():
+            for _ in watch.drain():
                 pass
         self._driver.close()
         gc.unfreeze()
@@ -338,7 +338,7 @@ class GuardedLink:
         with undisturbed():
             watch.stopping.request()
             given.close()
-            for block in () if watch.stopping.over else watch.rest():
+            for block in () if watch.stopping.over else watch.drain():
                 with suppress(Exception):  # a disk that is full, most likely: the arm is followed all the same
                     keep(block)
         if watch.stopping.disobeyed and not isinstance(error, SafetyError):

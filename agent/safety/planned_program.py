@@ -20,7 +20,7 @@ SLOWER, SETTLING, WAITING = 1.25, 3.0, 10.0
 THERE = 1e-3
 
 
-def is_there(chain: Trajectory) -> bool:
+def is_standstill(chain: Trajectory) -> bool:
     """Whether a stretch moves too little for a controller to make it."""
     return bool(np.ptp(chain.q, axis=0).max() < THERE)
 

@@ -81,7 +81,7 @@ class ReferencePath:
         """Index, in the shape of `when`, of the last point that is no later than a time [s] of the plan."""
         return np.clip(np.searchsorted(self.when, when, side="right") - 1, 0, len(self.when) - 1)
 
-    def lay(
+    def match_samples(
         self,
         fits: np.ndarray,
         reached: np.ndarray,

@@ -160,7 +160,7 @@ class Stopping:
         with self._lock:
             self._sampled.take(block.time, block.position)
 
-    def turn(self, stalled: float = 0.0) -> None:
+    def poll(self, stalled: float = 0.0) -> None:
         """Look at the arm, some times a second from the request on; this process stood still for `stalled` [s]."""
         with self._lock:  # or the stop may end between the look and what follows it
             if self.since is None or self.over or self.seen:

@@ -168,7 +168,7 @@ class MotionWatch:
         with suppress(DriverError):  # the motion is over and recorded
             self._read_temperatures(self._now, 0.0)
 
-    def rest(self) -> Iterator[SampleBlock]:
+    def drain(self) -> Iterator[SampleBlock]:
         """What is left of the samples after a stop, until the arm stands or the link is closed. Never raises."""
         self.stopping.request()
         failed: Exception | None = None
@@ -196,7 +196,7 @@ class MotionWatch:
 
         def watch() -> None:
             while not over.wait(TURN):
-                self.turn()
+                self.poll()
 
         thread = threading.Thread(target=watch, name="watch", daemon=True)
         thread.start()
@@ -206,7 +206,7 @@ class MotionWatch:
             over.set()
             thread.join()
 
-    def turn(self) -> None:
+    def poll(self) -> None:
         """One iteration of that thread."""
         now = self._clock()
         # A stall of this whole process is no delay of the link: what came meanwhile is judged first, which takes time.
@@ -214,7 +214,7 @@ class MotionWatch:
         stalled = max(0.0, passed - 2 * TURN)
         self._excused = min(self._excused + stalled, EXCUSED) if stalled else max(0.0, self._excused - passed)
         if self.stopping.since is not None:
-            self.stopping.turn(stalled)
+            self.stopping.poll(stalled)
         elif not self._sampled and (reason := self._freshness.fault(self._excused)) is not None:
             self._blame(
                 ControllerError(

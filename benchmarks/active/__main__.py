@@ -20,7 +20,7 @@ from fake_controller.withheld.cases import Mix, draw_cases
 OPEN = Mix(
     {"one": 0.9, "none": 0.1},
     (0.15, 0.8),
-    tuple(sorted(name for name, effect in CATALOGUE.items() if effect.shows_in == "torque" and not effect.once)),
+    tuple(sorted(name for name, effect in CATALOGUE.items() if effect.shows_in == "torque" and not effect.transient)),
 )
 
 

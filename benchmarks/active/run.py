@@ -23,7 +23,7 @@ import numpy as np
 from agent.core import AgentError, Console, finite, write_atomically
 from agent.diagnosis import Diagnosis, diagnose
 from agent.estimation import estimate
-from agent.experiment import KINDS, Outlook, Pick, as_drawn, d_optimal, pieces_otherwise
+from agent.experiment import KINDS, ExperimentScorer, Pick, as_drawn, d_optimal, pieces_otherwise
 from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
 from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, clearer_with_mass, plan_next
@@ -164,7 +164,9 @@ class ActiveRun:
             return WayMotion(program_text(self._recipe, again), again.cycles * cycle)
         pick = as_drawn
         if way == "d_optimal_pieces":
-            pick = d_optimal(found.dataset, Outlook(found.dataset, found.finding.evidence, ()).model_information)
+            pick = d_optimal(
+                found.dataset, ExperimentScorer(found.dataset, found.selected.evidence, ()).model_information
+            )
         other = run_otherwise(pick, KINDS, self._recipe, seconds, "further", (self._case.motion + 1) % 1_000_000)
         return WayMotion("", 0.0) if other is None else WayMotion(*other)
 

@@ -24,7 +24,7 @@ def judged(*parts: tuple[float, ...], error: float = 1.0, by_model: float = 0.0)
     raw = left + sum(torque) + by_model * LONG[:, 4]
     causes = [SimpleNamespace(blocks={j: None for j in range(2) if sizes[j]}) for sizes in parts]
     fit = SimpleNamespace(
-        once=False,
+        transient=False,
         given=True,
         chosen=(),
         rows=JOINTS,
@@ -62,7 +62,7 @@ def test_causes_that_cancel_each_other_are_no_explanation():
     left = LONG[:, 0]
     torque = [np.column_stack([large, 0 * large]), np.column_stack([rest - large, 0 * large])]
     fit = SimpleNamespace(
-        once=False,
+        transient=False,
         given=True,
         chosen=(),
         rows=JOINTS,

@@ -5,10 +5,10 @@ import pytest
 
 from agent.blind_check import clopper_pearson
 from agent.core import Console
-from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.healthy import healthy_on, with_healthy_effects
 from agent.diagnosis.hypotheses.noise_model import HealthyForm
 from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.verdict import named
 from agent.estimation import EstimationSettings, estimate
@@ -97,7 +97,7 @@ LEVELS = (0.01, 0.05, 0.1)
 MOTIONS = ("one", "two", "three")
 
 
-def healthy_finding(machine: int) -> Finding:
+def healthy_finding(machine: int) -> SelectedCauses:
     """Of three fresh motions of a machine, against a model of three others of its motions."""
     robot = make_arm("RRR")
     plant = Plant(robot, seed=machine)
@@ -113,10 +113,10 @@ def healthy_finding(machine: int) -> Finding:
 def test_the_false_alarm_level_on_fresh_healthy_motions(measured):
     findings = [healthy_finding(machine) for machine in range(101, 101 + SETS)]
     for level in LEVELS:
-        hits = sum(finding.healthy < level for finding in findings)
+        hits = sum(selected.healthy < level for selected in findings)
         low, high = clopper_pearson(hits, SETS)
         target = f"{100 * level:g} % if the level holds; 95 % interval {100 * low:.0f} to {100 * high:.0f} %"
         measured(f"healthy sets of three motions beyond the {100 * level:g} % level", f"{hits} of {SETS}", "", target)
-    alarms = sum(verdict_on(finding) != "no_gap" for finding in findings)
+    alarms = sum(verdict_on(selected) != "no_gap" for selected in findings)
     measured("the same sets with a verdict", f"{alarms} of {SETS}")
     assert alarms <= 1

@@ -19,7 +19,7 @@ FORMS = (
     (shape("offset"), (1,)),
     (shape("ripple"), (0,), 3),
     (shape("payload"), (), 2, np.array([[30.0, 10.0], [10.0, 20.0]])),
-    (shape("contact", once=True), ()),
+    (shape("contact", transient=True), ()),
 )
 ALL = np.ones(4, dtype=bool)
 
@@ -78,7 +78,7 @@ def test_fits_are_least_squares_over_the_rows_that_are_not_held_out(plain, forms
     kept = np.append(fitted[:5] * (not fit.given), fitted[5:])
     close(np.concatenate(fit.residuals_as_given), left_by(fit, forms, kept))
     assert fit.count.tolist() == [2 * np.sum(fit.cell == k) for k in range(4)]
-    assert fit.once == any(form.once for form in forms)
+    assert fit.transient == any(form.transient for form in forms)
     inside = fit.rests.inside(len(fit.cell))
     assert np.array_equal(fit.near_rest, inside | (fit.sigma > [0.81, 0.31]))
     assert inside.any()

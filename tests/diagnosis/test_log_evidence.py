@@ -27,7 +27,7 @@ FORMS = (
     (shape("ripple", nonlinear=2), (0,), 3),
     (shape("payload", nonlinear=1), (), 2, np.array([[3.0, 1.0], [1.0, 2.0]])),
     (shape("spring", usual=True), (1,), 2),
-    (shape("contact", once=True), ()),
+    (shape("contact", transient=True), ()),
     (shape("tilt", usual=True), (), 2),  # whose second column acts on the first joint alone
 )
 #: Effects, and joints with something else and its size.
@@ -148,7 +148,7 @@ class Written:
     def lasting(self, number: int, torque: np.ndarray) -> dict[int, float]:
         """Torque over nominal, in the log with most of it, while it lasts, from that over σ (2 S,)."""
         torque = torque.reshape(2, -1) * self.sigma / NOMINAL[:, None]
-        lasts = np.any(self.effects[number] != 0, axis=2) | (not self.forms[number].once)
+        lasts = np.any(self.effects[number] != 0, axis=2) | (not self.forms[number].transient)
         each = {j: [torque[j][lasts[j] & (self.log == log)] for log in (0, 1)] for j in self.forms[number].blocks}
         return {j: max(np.sqrt(np.mean(one**2)) for one in parts if len(one)) for j, parts in each.items()}
 

@@ -62,7 +62,7 @@ def test_a_spring_torque_stays_within_the_joint_limit(reference):
 
 def test_torque_within_stiction_at_standstill_keeps_no_cause_from_closing_the_gap(diagnosed):
     found = diagnosed(1)
-    fit = found.finding.fit
+    fit = found.selected.fit
     rest = (fit.sigma > 1.01 * fit.sigma.min(axis=0)) & (np.arange(fit.reference.robot.dof) == 1)
     rows = [np.column_stack([part[:, :-1], part[:, -1] + 0.8 * rest[:, j]]) for j, part in enumerate(fit.rows)]
     open_at_rest = Fit(

@@ -46,15 +46,17 @@ def test_an_interval_is_what_leaving_motions_out_says():
         return {**settings, **named, "twice": 2 * named["level"]}
 
     effect = SimpleNamespace(reported=reported)
-    causes = [SimpleNamespace(effect=effect, settings={"speed": 0.1}, names=("level",), once=k) for k in (False, True)]
+    causes = [
+        SimpleNamespace(effect=effect, settings={"speed": 0.1}, names=("level",), transient=k) for k in (False, True)
+    ]
     fit = SimpleNamespace(reference=None, folds=range(5), single=(5, 6), values=np.array([[3.0], [7.0]]))
     fit.fitted = lambda fold: (None, np.array([[2.0 + fold], [3.0 * fold]]))
-    repeats, once = intervals(SimpleNamespace(fit=fit, causes=causes))
+    repeats, transient = intervals(SimpleNamespace(fit=fit, causes=causes))
     half, of_once = 2.7764 * np.sqrt(4 / 5 * 10), 3.1824 * np.sqrt(1 / 2 * 4.5)
     assert repeats["level"] == pytest.approx((3 - half, 3 + half), rel=1e-4)
     assert repeats["twice"] == pytest.approx((6 - 2 * half, 6 + 2 * half), rel=1e-4)
-    assert once["level"] == pytest.approx((7 - of_once, 7 + of_once), rel=1e-4)
-    assert {*repeats} == {*once} == {"level", "twice"}, "what every fold says alike has none"
+    assert transient["level"] == pytest.approx((7 - of_once, 7 + of_once), rel=1e-4)
+    assert {*repeats} == {*transient} == {"level", "twice"}, "what every fold says alike has none"
     fit.folds = (2, 2)  # two motions that agree by chance
     assert intervals(SimpleNamespace(fit=fit, causes=causes))[0]["level"][1] == pytest.approx(3 + 3.1824 / 2, rel=1e-4)
 

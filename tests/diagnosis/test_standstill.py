@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import diagnose
-from agent.diagnosis.rows.standstill import Rests
+from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE
 from agent.recording.log import Log
@@ -101,7 +101,7 @@ def test_a_rest_counts_as_under_one_sample_for_constant_torque_and_fully_for_a_r
     for length in lengths:
         stretches.append((first, first + length, length / repeat))
         first += length + 50
-    rests = Rests((tuple(stretches), ()))
+    rests = StandstillWhitening((tuple(stretches), ()))
     inside = np.concatenate([np.arange(a, b) for a, b, _ in stretches])
     constant, ramp = np.zeros((first, 1)), np.zeros((first, 1))
     constant[inside] = 1.0

@@ -35,7 +35,7 @@ def test_a_cause_on_another_joint_does_not_close_the_gap(case):
     data, _ = case
     chosen = with_offset(data, 0)
     gap = held_out_gap(data, chosen)
-    alone = gap.closure_without(chosen.out_of_fold(chosen.once, 0))
+    alone = gap.closure_without(chosen.out_of_fold(chosen.transient, 0))
     assert alone < 0.25
 
 

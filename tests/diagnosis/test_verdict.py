@@ -12,8 +12,8 @@ from hypothesis import given, strategies as st
 from agent.diagnosis import verdict as rules
 from agent.diagnosis.diagnosis import next_experiment
 from agent.diagnosis.document import Cause, DiagnosisResult, EffectPlace, JointShare, PathGap, TorqueGap
-from agent.diagnosis.hypotheses.finding import Finding, Hypothesis
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, has_size, named, supported
 from agent.model import CATALOGUE
@@ -61,12 +61,12 @@ def keeps_its_promises(verdict, told_causes, closure) -> bool:
 @given(st.booleans(), several, closures, st.one_of(st.none(), several), several, st.floats(0, 3))
 def test_a_verdict_meets_its_contract(leaves_gap, found, closure, path, numbers, by_numbers):
     """With causes, another path and moved numbers; each counts only where those before it explain nothing."""
-    finding = SimpleNamespace(leaves_gap=leaves_gap)
-    decided = decide_verdict(finding, found, closure, path, numbers, by_numbers)
+    selected = SimpleNamespace(leaves_gap=leaves_gap)
+    decided = decide_verdict(selected, found, closure, path, numbers, by_numbers)
     assert keeps_its_promises(decided.name, decided.causes, decided.closure)
-    by_effects = decide_verdict(finding, found, closure)
+    by_effects = decide_verdict(selected, found, closure)
     assert all(any(cause is one for one in found) for cause in by_effects.causes)
-    assert decide_verdict(finding, by_effects.causes, closure) == by_effects, "it is settled"
+    assert decide_verdict(selected, by_effects.causes, closure) == by_effects, "it is settled"
     if by_effects.causes:
         assert (decided.name, decided.closure) == (by_effects.name, closure)
         assert decided.causes == (*by_effects.causes, *filter(has_size, path or ()))
@@ -126,14 +126,14 @@ def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_rep
         SimpleNamespace(effect=SimpleNamespace(name=name, reported=reported), joints=joints, settings=more, names=own)
         for name, joints, more, own in (("stribeck", (2, 0), {"speed": 1}, names[0]), ("payload", (), {}, names[1]))
     )
-    fit = SimpleNamespace(reference=7, once=True, values=[np.array([3.0]), np.array([4.0, 5.0])])
+    fit = SimpleNamespace(reference=7, transient=True, values=[np.array([3.0]), np.array([4.0, 5.0])])
     fit.out_of_fold = lambda once, number: 10 * number + once
     gap = SimpleNamespace(closure_without=lambda left: 0.5 + left, closure_on=lambda joints, left: (joints, left))
     dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=("a", "b", "c")))
     rivals = ((("payload", ()), ("dress_pack", (1, 2))), ())
-    finding = SimpleNamespace(fit=fit, causes=(stribeck, load), rivals=rivals, probability=(0.8, 0.7))
+    selected = SimpleNamespace(fit=fit, causes=(stribeck, load), rivals=rivals, probability=(0.8, 0.7))
     equal = EffectPlace("payload", ()), EffectPlace("dress_pack", ("b", "c"))
-    assert causes_of(dataset, finding, gap) == (  # type: ignore[arg-type]
+    assert causes_of(dataset, selected, gap) == (  # type: ignore[arg-type]
         Cause("stribeck", ("c", "a"), 1.5, 0.8, {"of": 7, "speed": 1.0, "rise": 3.0}, equal, ((2, 0), 1)),  # type: ignore[arg-type]
         Cause("payload", (), 11.5, 0.7, {"of": 7, "mass": 4.0, "moment_x": 5.0}),
     )
@@ -156,14 +156,14 @@ def found_by_a_search(candidates, rivals, scale=1.0, runner_up=()):
     others = (Hypothesis(runner_up, (), 5.0, {}, (0.1,), 1.0, 1.0),) if runner_up else ()
     evidence, probability = SimpleNamespace(law=LAW, joints=JOINTS), (0.9,) * len(candidates)
     hypotheses = (best, *others, plain)
-    return named(Finding(_Fit(), _Fit(candidates), candidates, rivals, probability, 1.0, hypotheses, evidence))  # type: ignore[arg-type]
+    return named(SelectedCauses(_Fit(), _Fit(candidates), candidates, rivals, probability, 1.0, hypotheses, evidence))  # type: ignore[arg-type]
 
 
 def candidate_of(name, *joints, **more):
     return SimpleNamespace(place=(name, joints), effect=CATALOGUE[name], **more)
 
 
-def judged_by(finding, gap_of, told, failing=()):
+def judged_by(selected, gap_of, told, failing=()):
     """A finding as it is supported, and the verdict, where fits have these gaps, and findings these causes.
 
     Causes at `failing` joints do not explain what they claim.
@@ -185,7 +185,7 @@ def judged_by(finding, gap_of, told, failing=()):
 
     patches = {"held_out_gap": made, "causes_of": told_of, "shortfalls": lacking}
     with patch.multiple(rules, **patches):
-        judged, gap = supported(dataset, finding, unit)  # type: ignore[arg-type]
+        judged, gap = supported(dataset, selected, unit)  # type: ignore[arg-type]
     assert gap is gaps[-1]
     return judged, decide_verdict(judged, told(None, judged, gap), gap.closure)
 
@@ -202,17 +202,17 @@ def test_every_search_result_gives_an_answer_that_meets_the_contract(found, clos
     candidates = tuple(candidate_of("stribeck", k, cause=cause) for k, cause in enumerate(found))
     runner_up = (candidate_of("presliding", 0),) if other else ()
     rivals = tuple(tuple((e.effect, (1,)) for e in cause.equivalent_to) for cause in found)
-    finding = found_by_a_search(candidates, rivals, scale, runner_up)
+    selected = found_by_a_search(candidates, rivals, scale, runner_up)
 
     def gap_of(dataset, fit, unit=None):
         return SimpleNamespace(closure=closings[min(len(fit.chosen), len(closings) - 1)])
 
-    def told(dataset, finding, gap):
-        there = [tuple(EffectPlace(name, ("joint_2",)) for name, _ in rivals) for rivals in finding.rivals]
-        of = zip((c.cause for c in finding.causes), there, strict=True)
+    def told(dataset, selected, gap):
+        there = [tuple(EffectPlace(name, ("joint_2",)) for name, _ in rivals) for rivals in selected.rivals]
+        of = zip((c.cause for c in selected.causes), there, strict=True)
         return tuple(replace(cause, equivalent_to=equal, closure_of_joints=None) for cause, equal in of)
 
-    judged, decided = judged_by(finding, gap_of, told, failing)
+    judged, decided = judged_by(selected, gap_of, told, failing)
     assert keeps_its_promises(decided.name, decided.causes, decided.closure)
     assert failing.isdisjoint(joint for cause in judged.causes for joint in cause.place[1])
     assert decided.name != "no_gap" or not judged.rejected, "what is rejected leaves its gap"
@@ -223,7 +223,9 @@ def test_a_cause_is_named_from_the_limits_on():
     """At exactly the probability, the share explained, and the doubt of a healthy arm, that are asked for."""
     plain = Hypothesis((), (), 0.0, {}, (), 0.0, 1.0)
     best = (candidate_of("stribeck", 0),)
-    found = Finding(_Fit(), _Fit(best), best, ((),), (LAW.sure,), LIMITS.explained, (plain,), None, 1 - LAW.certain)  # type: ignore[arg-type]
+    found = SelectedCauses(
+        _Fit(), _Fit(best), best, ((),), (LAW.sure,), LIMITS.explained, (plain,), None, 1 - LAW.certain
+    )  # type: ignore[arg-type]
     assert named(found).causes == best
     for less in ({"probability": (LAW.sure - 1e-9,)}, {"explained": 0.7499}, {"healthy": 0.0501}):
         judged = named(replace(found, **less))
@@ -233,27 +235,27 @@ def test_a_cause_is_named_from_the_limits_on():
 @given(scale=st.floats(0.2, 100))
 def test_causes_without_held_out_gain_leave_a_gap_only_beyond_the_noise_model(scale):
     """A push that the search took for one closes nothing: on a healthy arm that is no gap, not an unknown one."""
-    finding = found_by_a_search((candidate_of("contact"),), ((),), scale)
+    selected = found_by_a_search((candidate_of("contact"),), ((),), scale)
     cause = Cause("contact", (), 0.01, 0.9, {"force_x": 1.0})
 
-    def told(dataset, finding, gap):
-        return (cause,) * len(finding.causes)
+    def told(dataset, selected, gap):
+        return (cause,) * len(selected.causes)
 
-    judged, decided = judged_by(finding, lambda *_: SimpleNamespace(closure=0.0), told)
+    judged, decided = judged_by(selected, lambda *_: SimpleNamespace(closure=0.0), told)
     assert decided.name == ("unknown" if scale >= 4.0 else "no_gap")
     assert judged.causes == ()
 
 
 def test_causes_that_close_too_little_are_named_with_the_runner_up():
     offset, stribeck = (candidate_of(name, 0) for name in ("torque_offset", "stribeck"))
-    finding = found_by_a_search((offset,), ((),), 1.0, (stribeck,))
+    selected = found_by_a_search((offset,), ((),), 1.0, (stribeck,))
     cause = Cause("torque_offset", ("joint_1",), 0.5, 0.9, {"offset": 1.0})
 
-    def told(dataset, finding, gap):
-        there = tuple(EffectPlace(name, ("joint_1",)) for name, _ in finding.rivals[0])
+    def told(dataset, selected, gap):
+        there = tuple(EffectPlace(name, ("joint_1",)) for name, _ in selected.rivals[0])
         return (replace(cause, equivalent_to=there),)
 
     for closure, verdict in ((0.9, "explained"), (0.75, "explained"), (0.5, "ambiguous"), (0.0, "ambiguous")):
-        judged, decided = judged_by(finding, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
+        judged, decided = judged_by(selected, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
         assert decided.name == verdict
         assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))

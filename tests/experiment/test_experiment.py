@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.diagnosis import Excursions, diagnose
+from agent.diagnosis import MotionCoverage, diagnose
 from agent.experiment import Deadline, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
-from agent.experiment.outlook import Outlook, background_on
 from agent.experiment.pieces import GridMotion, Pieces
 from agent.experiment.questions import OpenPair, Side
+from agent.experiment.scorer import ExperimentScorer, background_on
 from agent.model import CATALOGUE, MotionSignals
 from agent.robot import kinematics_for
 from fake_controller.plant import Plant
@@ -22,8 +22,8 @@ NOTHING = Side("none", (), None, np.empty(0))
 SIDES = {"asymmetric_friction", "torque_offset"}
 
 
-def outlook_of(found, pairs) -> Outlook:
-    return Outlook(found.dataset, found.finding.evidence, pairs)
+def scorer_of(found, pairs) -> ExperimentScorer:
+    return ExperimentScorer(found.dataset, found.selected.evidence, pairs)
 
 
 def test_asks_about_the_ambiguous_causes(ambiguous):
@@ -42,37 +42,37 @@ def test_asks_about_the_ambiguous_causes(ambiguous):
     st.floats(2, 8),
 )
 def test_a_further_motion_never_reduces_the_separation(arm, ambiguous, first, second, seconds):
-    exact = copy(ambiguous.finding.evidence)
+    exact = copy(ambiguous.selected.evidence)
     exact.law = replace(exact.law, form=0.0)  # of a form that is wrong, a rival follows more the more it shows
-    outlook = Outlook(ambiguous.dataset, exact, open_pairs(ambiguous))
-    one = outlook.told(wave(arm, first, seconds))
-    together = one + outlook.told(wave(arm, second, seconds))
-    now, after, both = (outlook.evidence(added) for added in (outlook.nothing, one, together))
+    scorer = ExperimentScorer(ambiguous.dataset, exact, open_pairs(ambiguous))
+    one = scorer.told(wave(arm, first, seconds))
+    together = one + scorer.told(wave(arm, second, seconds))
+    now, after, both = (scorer.evidence(added) for added in (scorer.nothing, one, together))
     assert np.all(after >= now * (1 - 1e-6))
     assert np.all(both >= after * (1 - 1e-6))
-    chances = outlook.chances(together)
+    chances = scorer.chances(together)
     assert np.all((chances >= 0) & (chances <= 1))
 
 
 def test_a_stationary_motion_has_no_information(arm, ambiguous):
-    outlook = outlook_of(ambiguous, open_pairs(ambiguous))
+    scorer = scorer_of(ambiguous, open_pairs(ambiguous))
     time = np.arange(0, 8, 0.02)
     zero = np.zeros((len(time), arm.dof))
-    told = outlook.told(GridMotion(time, zero + 0.3, zero, zero))
+    told = scorer.told(GridMotion(time, zero + 0.3, zero, zero))
     assert not told.information.any()
-    assert np.array_equal(outlook.chances(told), outlook.chances(outlook.nothing))
+    assert np.array_equal(scorer.chances(told), scorer.chances(scorer.nothing))
 
 
 @pytest.mark.parametrize("seconds", [10.0, 40.0, 160.0])
 def test_slow_motion_does_not_separate_an_offset_from_asymmetric_friction(arm, ambiguous, seconds):
     """It is one while the joint slides. The speed threshold depends on the logs, not on the motion alone."""
     pair = next(pair for pair in open_pairs(ambiguous) if set(pair.names) == SIDES)
-    outlook = outlook_of(ambiguous, [pair])
+    scorer = scorer_of(ambiguous, [pair])
     alike = pair.names.index("torque_offset")
     time = np.arange(0, seconds, 0.02)[:, None]
     w = 2 * np.pi / seconds * np.arange(1, arm.dof + 1)
     slow = GridMotion(time[:, 0], -np.cos(w * time) / 3, w * np.sin(w * time) / 3, w**2 * np.cos(w * time) / 3)
-    before, after = (outlook.evidence(added)[0, alike] for added in (outlook.nothing, outlook.told(slow)))
+    before, after = (scorer.evidence(added)[0, alike] for added in (scorer.nothing, scorer.told(slow)))
     assert after - before < 1.0
 
 
@@ -121,9 +121,9 @@ def test_planned_joints_stay_within_their_range(problem):
 
 def test_an_effect_has_more_energy_on_a_motion_of_its_joint(arm, ambiguous):
     pairs = open_pairs(ambiguous)
-    outlook = outlook_of(ambiguous, pairs)
-    turning, other = (outlook.told(wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
-    assert outlook.energy(turning, pairs[0].first) > 10 * outlook.energy(other, pairs[0].first)
+    scorer = scorer_of(ambiguous, pairs)
+    turning, other = (scorer.told(wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
+    assert scorer.energy(turning, pairs[0].first) > 10 * scorer.energy(other, pairs[0].first)
 
 
 @pytest.mark.verify
@@ -146,17 +146,17 @@ def test_does_not_predict_a_separation_for_too_short_a_travel(arm, ambiguous):
         candidate = fit.candidates([(CATALOGUE[name], (1,), CATALOGUE[name].settings(fit, (1,))[0])])[0]
         values = np.full(len(candidate.names), scale)
         sides.append(Side(name, ("joint_2",), candidate, values))
-    outlook = outlook_of(ambiguous, [OpenPair(*sides), OpenPair(sides[0], NOTHING)])
-    wide = outlook.told(wave(arm, [0.4, 0.4], 8.0))
-    assert outlook.chances(wide)[0, 0] > 0.5
-    assert outlook.minimum_detectable_sizes(wide)[1] is not None
-    short = Excursions(
+    scorer = scorer_of(ambiguous, [OpenPair(*sides), OpenPair(sides[0], NOTHING)])
+    wide = scorer.told(wave(arm, [0.4, 0.4], 8.0))
+    assert scorer.chances(wide)[0, 0] > 0.5
+    assert scorer.minimum_detectable_sizes(wide)[1] is not None
+    short = MotionCoverage(
         ("joint_1", "joint_2"), np.ones(2, bool), np.zeros(2), np.full(2, 0.1), np.ones(2), np.full(2, 9)
     )
-    outlook._reached, little = short, replace(wide, excursions=short)
-    assert outlook.chances(little)[0, 0] == 0.0
-    assert outlook.chances(little)[0, 1] == pytest.approx(1.0)
-    assert outlook.minimum_detectable_sizes(little)[1] is None
+    scorer._reached, little = short, replace(wide, excursions=short)
+    assert scorer.chances(little)[0, 0] == 0.0
+    assert scorer.chances(little)[0, 1] == pytest.approx(1.0)
+    assert scorer.minimum_detectable_sizes(little)[1] is None
 
 
 def test_random_loops_fill_the_time(problem):
@@ -182,14 +182,14 @@ def test_random_pieces_fill_the_time_and_are_feasible(problem):
 @pytest.mark.verify
 def test_d_optimal_pieces_have_more_information_than_random_ones(problem):
     found = one_sided(problem.robot)
-    outlook = outlook_of(found, ())
+    scorer = scorer_of(found, ())
     known = found.dataset.fit.gram.sum(axis=0)[:-1, :-1] / found.dataset.fit.repeat + found.dataset.fit.precision
 
     def worth(pieces):
-        total = known + sum(outlook.model_information(piece.motion) for piece in pieces)
+        total = known + sum(scorer.model_information(piece.motion) for piece in pieces)
         return np.linalg.slogdet(total / np.sqrt(np.outer(np.diag(known), np.diag(known))))[1]
 
-    picks = d_optimal(found.dataset, outlook.model_information), as_drawn
+    picks = d_optimal(found.dataset, scorer.model_information), as_drawn
     best, drawn = (pieces_otherwise(pick, problem, 40.0, 3, lambda pieces: True) for pick in picks)
     assert worth(best) > worth(drawn)
 

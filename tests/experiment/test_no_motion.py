@@ -13,7 +13,7 @@ from agent.experiment import KINDS, Experiment, as_drawn
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files
-from agent.pipeline.gap import diagnose, finding, next_experiment
+from agent.pipeline.gap import diagnose, diagnosis_run, next_experiment
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, check_arm, check_tool, plan_next
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
@@ -46,7 +46,7 @@ def ask(tmp_path: Path, monkeypatch):
         recipe = load_recipe(write_atomically(tmp_path / "job.yaml", change(template())))
         found = SimpleNamespace(
             held=held,
-            finding=SimpleNamespace(zero_known=False),
+            selected=SimpleNamespace(zero_known=False),
             dataset=SimpleNamespace(
                 robot=recipe.robot,
                 given=False,
@@ -78,7 +78,7 @@ def test_a_doubtful_cause_without_an_alternative_is_not_settled(tmp_path: Path, 
     recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
     cause = SimpleNamespace(place=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
     dataset = SimpleNamespace(robot=recipe.robot)
-    found = SimpleNamespace(verdict="ambiguous", finding=SimpleNamespace(causes=(cause,)), dataset=dataset)
+    found = SimpleNamespace(verdict="ambiguous", selected=SimpleNamespace(causes=(cause,)), dataset=dataset)
     monkeypatch.setattr(next_experiment, "open_pairs", lambda found: [])
     said = plan_next(found, recipe, Console(-1))  # type: ignore[arg-type]
     assert said.text.startswith("torque_ripple on joint_6 closes too little of the gap to be sure. ")
@@ -142,10 +142,10 @@ def asked(arm, logs, tmp_path: Path, monkeypatch):
     for path, log in zip(paths, logs, strict=True):
         write_log(path, log)
     monkeypatch.setattr(GapQuestion, "check", lambda *_: None)
-    for module in (diagnose, finding):
+    for module in (diagnose, diagnosis_run):
         monkeypatch.setattr(module, "load_recipe", lambda path: path)
-    monkeypatch.setattr(finding, "check_arm", lambda *_: None)
-    monkeypatch.setattr(finding, "check_tool", lambda *_: None)
+    monkeypatch.setattr(diagnosis_run, "check_arm", lambda *_: None)
+    monkeypatch.setattr(diagnosis_run, "check_tool", lambda *_: None)
     question = GapQuestion(
         tmp_path / "model.json", report=tmp_path / "page.html", out=tmp_path / "next", next_recipe=tmp_path / "job.yaml"
     )
@@ -167,7 +167,7 @@ def test_keeps_the_verdict_if_the_forward_simulation_fails(arm, logs, tmp_path: 
     for log in logs:
         write_log(tmp_path / log.name, log)
     question = GapQuestion(tmp_path / "model.json", report=tmp_path / "page.html")
-    monkeypatch.setattr(finding, "simulate", fails(InputError("the effect gives no finite torque")))
+    monkeypatch.setattr(diagnosis_run, "simulate", fails(InputError("the effect gives no finite torque")))
     result = diagnose_files(arm, [tmp_path / log.name for log in logs], question, Console(-1))
     assert (result["verdict"], result["simulation"]) == ("no_gap", None)
     assert any("the forward simulation failed" in text and "finite torque" in text for text in result["warnings"])

@@ -7,9 +7,9 @@ import pytest
 
 from agent.core import InputError
 from agent.diagnosis import diagnose
-from agent.experiment.outlook import Outlook
 from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
+from agent.experiment.scorer import ExperimentScorer
 from agent.model import CATALOGUE, PAYLOAD, NominalModel, carrying, payload_of, payload_text
 from agent.robot import Dynamics
 from fake_controller.plant import Plant
@@ -41,8 +41,8 @@ def evidence(found, truth, rival, motion: GridMotion, payload=None) -> float:
     for name, joint, settings, values in (truth, rival):
         (candidate,) = fit.candidates([(CATALOGUE[name], (joint,), settings)])
         sides.append(Side(name, (f"joint_{joint + 1}",), candidate, np.asarray(values, dtype=float)))
-    outlook = Outlook(found.dataset, found.finding.evidence, [OpenPair(*sides)], payload)
-    after, before = (outlook.evidence(told)[0, 0] for told in (outlook.told(motion), outlook.nothing))
+    scorer = ExperimentScorer(found.dataset, found.selected.evidence, [OpenPair(*sides)], payload)
+    after, before = (scorer.evidence(told)[0, 0] for told in (scorer.told(motion), scorer.nothing))
     return float(after - before)
 
 

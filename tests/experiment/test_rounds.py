@@ -18,7 +18,7 @@ from agent.pages.diagnosis.summary import planned_section, rounds_section
 from agent.pages.elements import Page, render
 from agent.pages.phrasing import next_text
 from agent.pipeline.gap import until_sure as module
-from agent.pipeline.gap.finding import Found
+from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
 from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.job import Job
@@ -83,7 +83,7 @@ def ask(tmp_path: Path, monkeypatch):
                 raise verdict
             causes = [CAUSE] if verdict in ("explained", "ambiguous") else []
             dataset = SimpleNamespace(given=given)
-            return Found(SimpleNamespace(result={"verdict": verdict, "causes": causes}, dataset=dataset))  # type: ignore[arg-type]
+            return DiagnosisRun(SimpleNamespace(result={"verdict": verdict, "causes": causes}, dataset=dataset))  # type: ignore[arg-type]
 
         plans = iter(motions or [Motion(), Motion(), NONE])
         made.clear()
@@ -222,7 +222,7 @@ def pair(first: str, second: str):
 
 
 def found_with(zero_known: bool):
-    return SimpleNamespace(finding=SimpleNamespace(zero_known=zero_known))
+    return SimpleNamespace(selected=SimpleNamespace(zero_known=zero_known))
 
 
 def test_names_where_to_look_for_either_cause_if_no_motion_helps():

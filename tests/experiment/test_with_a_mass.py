@@ -32,7 +32,7 @@ FOUND = SimpleNamespace(
     dataset=SimpleNamespace(
         fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0))), robot=SimpleNamespace(joint_names=())
     ),
-    finding=SimpleNamespace(causes=(SimpleNamespace(place=CAUSE),), rivals=((EQUAL,),), evidence=None),
+    selected=SimpleNamespace(causes=(SimpleNamespace(place=CAUSE),), rivals=((EQUAL,),), evidence=None),
 )
 
 
@@ -132,9 +132,9 @@ def test_a_load_separates_load_dependent_friction_from_other_friction():
     qdd = np.gradient(log.velocity, log.t, axis=0)
     motion = GridMotion(log.t, log.position, log.velocity, qdd)
     load = Tool(np.eye(4), 20.0, np.zeros(3))
-    assert tells_apart_by_load(found.dataset, found.finding.evidence, by_load, [motion], load)
+    assert tells_apart_by_load(found.dataset, found.selected.evidence, by_load, [motion], load)
     sides = []
     for name in ("friction_change", "viscous_nonlinearity"):
         (form, *_) = Search(found.dataset.fit, only={(name, (1,))}).forms()
         sides.append(Side(name, ("joint_2",), form, np.ones(len(form.names))))
-    assert not tells_apart_by_load(found.dataset, found.finding.evidence, [OpenPair(*sides)], [motion], load)
+    assert not tells_apart_by_load(found.dataset, found.selected.evidence, [OpenPair(*sides)], [motion], load)

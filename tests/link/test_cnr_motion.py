@@ -162,7 +162,7 @@ def test_converts_currents_to_torque_and_delivers_every_sample():
         now = times[k]
         run.samples(*topics(times[k : k + 10], way[k : k + 10]))
         run.feedbacks([feedback(int(1000 * now), way[k], moves=int(now < 2.0), last=7 if now >= 2.0 else 0)], READY)
-        run.turn()
+        run.poll()
     blocks = list(run.blocks())
     time = np.concatenate([block.time for block in blocks])
     assert time[0] == 0.0
@@ -213,7 +213,7 @@ def test_samples_that_end_before_the_motion_are_an_error():
             moves = times[k] < 2.0
             run.feedbacks([feedback(int(1000 * times[k]), way[k], moves=int(moves), last=0 if moves else 7)], READY)
         run._silence = 60.0
-        fault = run.turn()
+        fault = run.poll()
         assert f"end {0.4 if heard else 1.0:.1f} s before the motion did: nothing on x" in str(fault)
         assert not run.over
 
@@ -221,9 +221,9 @@ def test_samples_that_end_before_the_motion_are_an_error():
 def test_a_clock_that_goes_back_in_motion_ends_it():
     run = motion()
     run.feedbacks([feedback(5000), feedback(5020)], READY)
-    assert run.turn() is None
+    assert run.poll() is None
     run.feedbacks([feedback(10)], READY)
-    assert "clock" in str(run.turn())
+    assert "clock" in str(run.poll())
 
 
 def received(run):
@@ -242,12 +242,12 @@ def test_samples_that_a_busy_broker_still_has_are_waited_for_when_the_motion_fai
     for k in range(0, len(times), 10):
         run.feedbacks([feedback(int(1000 * times[k]), way[k])], READY)
     run.feedbacks([feedback(10)], READY)
-    run.fail(run.turn())
+    run.fail(run.poll())
     for k in range(0, len(times), 10):
         assert not run.over
         run.feedbacks([feedback(30)], READY)
         run.samples(*topics(times[k : k + 10], way[k : k + 10]))
-        assert run.turn() is None
+        assert run.poll() is None
     assert run.over
     assert received(run)[-1] == pytest.approx(1.98, abs=0.03)
 
@@ -261,9 +261,9 @@ def test_drops_samples_after_a_clock_went_back(size):
     way = ramp(times - np.where(times >= 10.0, 10.0, -1.0))
     for k in range(0, len(times), size):
         run.samples(*topics(times[k : k + size], way[k : k + size]))
-        if not run.failing and (fault := run.turn()) is not None:
+        if not run.failing and (fault := run.poll()) is not None:
             run.fail(fault)
-    run.turn()
+    run.poll()
     assert run.over
     handed_out = received(run)
     assert 10.0 <= handed_out[0] <= 10.91
@@ -275,10 +275,10 @@ def test_a_motion_that_fails_does_not_wait_for_a_broker_that_is_gone():
     run = motion()
     run.feedbacks([feedback(int(20 * k), ramp([0.02 * k])[0]) for k in range(100)], READY)
     run.fail(DriverError("a clock, or whatever it is"))
-    run.turn()
+    run.poll()
     assert not run.over
     run._silence = 60.0
-    run.turn()
+    run.poll()
     assert run.over
     assert len(received(run)) == 0
 
@@ -300,7 +300,7 @@ def test_reports_the_reason_of_a_controller_stop(change, said):
     run.feedbacks([feedback(20), feedback(40)], READY)
     for k in range(20):
         run.feedbacks([feedback(60 + 20 * k, moves=0)], state)
-        run.turn()
+        run.poll()
     with pytest.raises(MotionStopped, match=said):
         list(run.blocks())
     assert (stop_reason(state) is None) == (not change)
@@ -311,7 +311,7 @@ def test_a_stop_is_confirmed_by_rest_not_by_the_flag():
     run.stopping = True
     for k in range(30):
         run.feedbacks([feedback(20 * k, (min(k, 15), 0.0), moves=int(k < 5))], READY)
-        run.turn()
+        run.poll()
         assert run.over == (k >= 25), "it is still slowing down, or has only just come to rest"
     list(run.blocks())
 
@@ -322,7 +322,7 @@ def test_a_start_may_take_effect_after_an_ignored_stop():
     for k in range(9):
         run.feedbacks([feedback(20 * k, moves=0)], READY)
     run.feedbacks([feedback(180, moves=1)], READY)
-    run.turn()
+    run.poll()
     assert not run.over
 
 
@@ -331,10 +331,10 @@ def test_a_short_pause_is_not_a_stop():
     run.feedbacks([feedback(20)], READY)
     for k in range(5):
         run.feedbacks([feedback(40 + 20 * k, moves=0)], READY)
-        run.turn()
+        run.poll()
     assert not run.over
     run.feedbacks([feedback(200), feedback(220, moves=0, last=7)], READY)
-    run.turn()
+    run.poll()
     assert run.over
     assert len(list(run.blocks())) == 8
 
@@ -344,7 +344,7 @@ def test_a_program_started_by_hand_ends_with_a_rest():
     for k in range(150):
         now = 20 * k
         run.feedbacks([feedback(now, (min(now, 400) * 0.01, 0.0), moves=0)], READY)
-        run.turn()
+        run.poll()
     assert run.over
     blocks = list(run.blocks())
     assert blocks[-1].time[-1] == pytest.approx(0.4 + 2.0, abs=0.1)

@@ -89,7 +89,7 @@ class Arm:
             if states:
                 self.motion.state(SetPoint(self.now, command, rate, self.controller.scaling))
             self.motion.sample(self.latest, self.now + self.delay)
-            self.motion.turn()
+            self.motion.poll()
             while reading and self.motion.size > 4000:
                 self.kept.append(next(self._reader))
             if until_over and self.motion.over:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.core import Console
-from agent.diagnosis import Finding, Search, diagnose
+from agent.diagnosis import Search, SelectedCauses, diagnose
 from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
@@ -113,7 +113,7 @@ def test_a_spring_is_compared_with_a_link_mass_error(tmp_path):
     assert isinstance(instead, ReleasedSimulator)
     assert ("link inertia", 1) in instead.parts
     rubs = data.fit.candidate(CATALOGUE["stribeck"], (1,), {"speed": 0.1, "shape": 1.0})
-    friction = replace(entry, finding=SimpleNamespace(causes=(*causes, rubs)))
+    friction = replace(entry, selected=SimpleNamespace(causes=(*causes, rubs)))
     assert numbers_instead(friction, 2, unit) is None, "no link rubs"
 
 
@@ -132,18 +132,18 @@ def test_what_moved_numbers_explain_leaves_no_rivals_open(tmp_path):
     logs = [replace(log, effort=log.effort + more * [0, 1]) for log, more in zip(logs, left, strict=True)]
     others = [name for name in CATALOGUE if name not in ("torque_constant", "encoder_offset", "torque_offset")]
     found = diagnose(model.robot, logs, model, without=others)
-    assert (found.result["verdict"], found.finding.causes) == ("explained", ())
+    assert (found.result["verdict"], found.selected.causes) == ("explained", ())
     assert any("no known effect explains it" in warning for warning in found.warnings)
     assert {pair.second.effect for pair in open_pairs(found)} <= {"none"}
 
 
 def test_an_equivalent_cause_makes_the_verdict_ambiguous():
-    finding = Finding(None, None, (), ((), (("dress_pack", (1,)),)), (), 1.0, (), None)  # type: ignore[arg-type]
+    selected = SelectedCauses(None, None, (), ((), (("dress_pack", (1,)),)), (), 1.0, (), None)  # type: ignore[arg-type]
     links = ("inertial_mismatch", ())
-    second = finding.with_rival(1, links)
+    second = selected.with_rival(1, links)
     assert (verdict_on(second), second.rivals) == ("explained", ((), (links, ("dress_pack", (1,)))))
     assert second.with_rival(1, links).rivals == second.rivals
-    assert verdict_on(finding.with_rival(0, links)) == "ambiguous"
+    assert verdict_on(selected.with_rival(0, links)) == "ambiguous"
 
 
 def test_finds_a_testable_effect_next_to_a_much_larger_one(tmp_path):

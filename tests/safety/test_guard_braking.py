@@ -88,7 +88,7 @@ class Arm:
                 self.stopping.take(SampleBlock(numbers, times, positions, None, nothing, None, None))
                 self.freshness.judged(self._time)
             self._sequence += 10
-            self.stopping.turn()
+            self.stopping.poll()
 
 
 def stopped(brakes: float | None = None, **options) -> Arm:
@@ -104,7 +104,7 @@ def test_a_braking_arm_gets_one_stop_and_keeps_its_link():
     arm.run(1.5)
     arm.stopping.finish(failed=False)
     arm.clock.now += STANDS
-    arm.stopping.turn()
+    arm.stopping.poll()
     assert (arm.stops, arm.stopping.seen, arm.warned) == (1, "", [])
     assert not arm.closed.is_set()
 
@@ -145,11 +145,11 @@ def test_a_stall_of_this_process_is_not_counted_against_the_arm():
     """But no more of it than half a second."""
     arm = stopped()
     arm.clock.now += 0.4
-    arm.stopping.turn(stalled=0.4)
+    arm.stopping.poll(stalled=0.4)
     arm.run(AGAIN - 0.06)
     assert arm.stops == 1
     arm.clock.now += LET_GO
-    arm.stopping.turn(stalled=LET_GO)
+    arm.stopping.poll(stalled=LET_GO)
     arm.run(0.1)
     assert arm.closed.wait(10.0)
     assert arm.stops == 2
@@ -250,7 +250,7 @@ def test_late_samples_do_not_hide_the_state(silent):
         arm.turns(50)
     else:  # who knows when the clock is no number
         arm.state, arm.clock.now = lambda: None, np.nan
-        arm.stopping.turn()
+        arm.stopping.poll()
     assert "does not report the end" in arm.stopping.seen
 
 
@@ -315,8 +315,8 @@ def test_a_nan_clock_gives_no_extra_time(answers):
     arm.state = lambda: HOME + 2.0 * arm.clock.now if answers or arm.clock.now > 0 else None
     arm.turns(10 if answers else 24)  # or until its state has shown a speed
     arm.clock.now = np.nan
-    arm.stopping.turn()
-    arm.stopping.turn()
+    arm.stopping.poll()
+    arm.stopping.poll()
     assert arm.closed.wait(10.0)
     arm.stopping.wait(10.0)
     assert arm.stops == 2
@@ -387,7 +387,7 @@ def test_reports_a_link_closed_while_waiting_for_the_end_once():
 
     def state():
         arm.clock.now += SPAN / 2
-        arm.stopping.turn()
+        arm.stopping.poll()
         return HOME + arm.clock.now
 
     arm.state = state

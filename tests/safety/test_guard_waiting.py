@@ -112,11 +112,11 @@ def test_a_stall_of_this_process_leaves_time_to_judge_the_backlog(stall, stopped
     def turns(seconds):
         for _ in range(round(seconds / TURN)):
             clock.now += TURN
-            watch.turn()
+            watch.poll()
 
     turns(0.3)
     clock.now += stall + 2 * TURN
-    watch.turn()
+    watch.poll()
     turns(stopped_after - TURN)
     assert (watch.stopping.since is None) is (stopped_after > 0)
     turns(3 * TURN)

@@ -60,7 +60,7 @@ class Link:
     def turns(self, seconds: float) -> None:
         for _ in range(round(seconds / TURN)):
             self.clock.now += TURN
-            self.watch.turn()
+            self.watch.poll()
 
 
 class Content:
@@ -93,7 +93,7 @@ def test_the_duration_of_a_start_is_not_sample_silence():
     assert stopped == [False, True]
 
 
-@pytest.mark.parametrize("read", [MotionWatch.samples, MotionWatch.rest])
+@pytest.mark.parametrize("read", [MotionWatch.samples, MotionWatch.drain])
 def test_samples_of_a_stationary_arm_confirm_a_stop(read):
     """Whatever its state says."""
     link = Link()
@@ -179,7 +179,7 @@ def test_a_block_delivered_before_a_stop_is_delivered_again():
     assert next(given) is blocks[0]
     given.close()
     link.script = iter(blocks)
-    assert list(link.watch.rest()) == blocks
+    assert list(link.watch.drain()) == blocks
     assert link.warned == []
 
 
@@ -188,7 +188,7 @@ def test_polling_ends_with_the_motion():
     link = Link()
     entered, release, done = threading.Event(), threading.Event(), []
 
-    def turn():
+    def poll():
         entered.set()
         done.append(release.wait(10.0))
 
@@ -197,7 +197,7 @@ def test_polling_ends_with_the_motion():
         threading.Timer(0.1, release.set).start()
         yield link.block(5.0)
 
-    link.watch.turn, link.script = turn, script()
+    link.watch.poll, link.script = poll, script()
     list(link.watch.samples())
     assert done
 
@@ -224,7 +224,7 @@ def test_closes_the_link_of_an_arm_that_moves_after_the_last_samples():
     link = Link()
     link.moves = True
     link.script = iter([link.block(5.0, speed=0.3)])
-    assert len(list(link.watch.rest())) == 1
+    assert len(list(link.watch.drain())) == 1
     assert "does not obey" in link.warned[0]
     assert link.closed.wait(10.0)
     assert link.watch.stopping.disobeyed

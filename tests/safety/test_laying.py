@@ -64,6 +64,6 @@ def test_batch_matching_equals_point_by_point_matching(laying):
     fits, reached, first, passed = laying
     path = path_of(first + fits.shape[1])
     ahead = 4.0 * passed
-    found = path.lay(fits, reached, first, passed, ahead, GAP, WITHIN)
+    found = path.match_samples(fits, reached, first, passed, ahead, GAP, WITHIN)
     for one, other in zip(found, place_by_place(path, fits, reached, first, passed, ahead), strict=True):
         np.testing.assert_array_equal(one, other)

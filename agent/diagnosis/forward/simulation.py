@@ -54,7 +54,7 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
     """
     dataset = diagnosis.dataset
     found: list[Simulated] = []
-    if not diagnosis.finding.causes:
+    if not diagnosis.selected.causes:
         return found
     for number, log in enumerate(dataset.logs):
         if log.reference_position is None or log.metadata.get(PAYLOAD):  # the model simulates the bare arm
@@ -64,8 +64,8 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
         motion = shortened(motion, int(LONGEST * motion.rate))  # edges included
         if motion.torque is None or motion.set_points is None or not np.all(np.isfinite(motion.set_points)):
             continue
-        held_out = len(dataset.logs) > 1 and not diagnosis.finding.fit.once  # of a push no other log knows
-        extended = extended_model(diagnosis, without=number if held_out else None, once=True)
+        held_out = len(dataset.logs) > 1 and not diagnosis.selected.fit.transient  # of a push no other log knows
+        extended = extended_model(diagnosis, without=number if held_out else None, transient=True)
         before = _follow(dataset.model, motion, number)
         after = _follow(extended, motion, number) if extended.effects else before
         if not all(np.all(np.isfinite(values)) for values in (*before, *after)):

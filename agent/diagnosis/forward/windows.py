@@ -86,7 +86,7 @@ def _lasts(window: ForwardWindow, seconds: float) -> bool:
 
 def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
     """Starts that are spread evenly over the held-out part of each fold, with the whole window inside it."""
-    dataset, fit = diagnosis.dataset, diagnosis.finding.fit
+    dataset, fit = diagnosis.dataset, diagnosis.selected.fit
     settings = FilterSettings(dataset.cutoff, dataset.model.order)
     found: list[list[ForwardWindow]] = []
     for number, log in enumerate(dataset.logs):

@@ -54,7 +54,7 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
                 at.append(np.arange(a, b))
         columns, places = np.hstack(parts), np.concatenate(at)
         variance = np.zeros(len(columns))
-        for fold in fit.single if fit.once else fit.folds:
+        for fold in fit.single if fit.transient else fit.folds:
             inverse = fit.solve(fold.train)[0][np.ix_(places, places)]
             test = np.isin(fit.cell, np.flatnonzero(fold.test))
             variance[test] = np.einsum("si,ij,sj->s", columns[test], inverse, columns[test], optimize=True)
@@ -71,8 +71,8 @@ def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[s
     """
     if not causes or gap.closure is None:
         return [""] * len(causes)
-    left = fit.out_of_fold(fit.once)
-    taken_out = [fit.out_of_fold(fit.once, number) for number in range(len(causes))]
+    left = fit.out_of_fold(fit.transient)
+    taken_out = [fit.out_of_fold(fit.transient, number) for number in range(len(causes))]
     own = gap.closure_without(np.sum(taken_out, axis=0) - (len(causes) - 1) * left) or 0.0
     if fit.given and own < LIMITS.most * gap.closure:
         return ["the model's own parameters close more of the gap than it does"] * len(causes)

@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
-from agent.diagnosis.hypotheses.finding import Finding
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.rows.dataset import Dataset
 from agent.model import IdentifiedModel
 from agent.recording import Log
@@ -126,9 +126,9 @@ def as_evidence(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence
     return log_likelihood
 
 
-def said_by_zero(dataset: Dataset, finding: Finding, zero: ChannelZero) -> tuple[str, ...]:
+def said_by_zero(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) -> tuple[str, ...]:
     """Return what a log with the drives off says of the causes, one text a channel that it may concern."""
-    sizes = zip(finding.causes, finding.fit.values, strict=True)
+    sizes = zip(selected.causes, selected.fit.values, strict=True)
     offsets = {c.joints[0]: float(np.abs(v).max()) for c, v in sizes if c.effect.adds_to_report is not None}
     before, said = _known_offsets(dataset.model), []
     for joint, entry in enumerate(dataset.robot.joints):

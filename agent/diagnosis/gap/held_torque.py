@@ -73,7 +73,7 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
         return None
     effects = np.zeros_like(dataset.residual)
     for cause, values in zip(found.chosen, found.values, strict=True):
-        for joint, block in ({} if cause.once else cause.blocks).items():
+        for joint, block in ({} if cause.transient else cause.blocks).items():
             effects[:, joint] += block @ values * fit.sigma[:, joint]
     predicted = [
         s.low_pass(s.predicted) + known_effects(dataset.model, s) + more

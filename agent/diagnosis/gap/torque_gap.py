@@ -76,7 +76,7 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     """The gap with the effects of a fit: every row under the parameters that did not see it."""
     if unit is None:
         unit = np.nan_to_num(dataset.robot.nominal_torque, nan=1.0)
-    left = fit.out_of_fold(fit.once)
+    left = fit.out_of_fold(fit.transient)
     raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
     raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
     # friction that is predicted to hold one way may hold the other way: twice the level

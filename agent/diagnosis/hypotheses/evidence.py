@@ -30,8 +30,8 @@ from scipy.linalg.lapack import dtrtrs
 
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
-from agent.diagnosis.hypotheses.pool import Bank, Pool
-from agent.diagnosis.rows.candidate import Candidate, Place
+from agent.diagnosis.hypotheses.pool import CandidateBlock, CandidateMoments
+from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
@@ -146,12 +146,12 @@ class Evidence:
     ):
         self.law, self.joints, self.reference = law, len(fit.rows), fit.reference
         self.noise = noise = NoiseModel(fit, candidates, healthy, law)
-        self.usual: dict[Place, float] = {}
+        self.usual: dict[HypothesisKey, float] = {}
         for one in healthy or ():
             size = noise.torque_of(one.candidate, one.amount)
             self.usual[one.candidate.place] = max(size, self.usual.get(one.candidate.place, 0.0))
         self._baseline = {one.candidate.place: one for one in healthy or () if one.mean is not None}
-        self.pool = Pool(noise)
+        self.pool = CandidateMoments(noise)
         self._moments = lru_cache(maxsize=4 * self.joints)(self.pool.moments)  # the scales are fitted in rounds
         self._index, self._pull = list(fit.index), fit.shift
         self._friction = _of_the_day(fit)
@@ -307,7 +307,7 @@ class Evidence:
             return np.empty(0), []
         return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
 
-    def _shortlist_gains(self, base: Evaluated, bank: Bank) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _shortlist_gains(self, base: Evaluated, bank: CandidateBlock) -> tuple[np.ndarray, list[np.ndarray]]:
         schur, side = self._schur(base, bank)
         gains, values = np.empty(len(bank.candidates)), [np.empty(0)] * len(bank.candidates)
         for width, which in bank.alike.items():
@@ -318,7 +318,7 @@ class Evidence:
                 values[number] = fitted[row]
         return gains, values
 
-    def _schur(self, base: Evaluated, bank: Bank) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    def _schur(self, base: Evaluated, bank: CandidateBlock) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Per number of parameters k the information (N, k, k) on candidates beyond a hypothesis; (K,) their side."""
         size = int(bank.first[-1])
         cross, side = np.zeros((len(base.precision), size)), np.zeros(size)

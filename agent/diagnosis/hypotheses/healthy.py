@@ -15,14 +15,14 @@ import numpy as np
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.noise_model import Healthy, HealthyForm
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.rows.candidate import Candidate, Place
+from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
 from agent.recording import Log
 
 _LONGEST = 30.0  # s of a log that are looked at
-_TRANSIENT = [effect.name for effect in CATALOGUE.values() if effect.once]
+_TRANSIENT = [effect.name for effect in CATALOGUE.values() if effect.transient]
 _INVISIBLE = 1e-9  # torque over nominal of a unit of a parameter, up to which it shows nothing
 
 
@@ -37,7 +37,7 @@ def with_healthy_effects(
     baseline, held_out = ([_beginning(log) for log in logs] for logs in (baseline, held_out))
     learned = [_judged(model, held_out)] if held_out else []
     learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
-    largest: dict[Place, tuple[float, list[HealthyEffect]]] = {}
+    largest: dict[HypothesisKey, tuple[float, list[HealthyEffect]]] = {}
     for forms, shown in learned:
         for place, (size, entries) in _effects(forms, shown, model.robot.joint_names).items():
             if size >= largest.get(place, (0.0, []))[0]:
@@ -96,16 +96,16 @@ def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Can
 
 def _effects(
     forms: Sequence[Candidate], shown: Sequence[_Shown], names: Sequence[str]
-) -> dict[Place, tuple[float, list[HealthyEffect]]]:
+) -> dict[HypothesisKey, tuple[float, list[HealthyEffect]]]:
     """Per hypothesis the explained torque over nominal, and one entry for the best form of each kind.
 
     The torque is the mean square over n - 2 of n logs, each explained by its best form: the variance of Student's
     predictive distribution with n degrees of freedom, as few logs say little about how large an effect can become.
     """
     total = np.sum([one.gains for one in shown], axis=0)
-    places: dict[Place, list[int]] = {}
+    places: dict[HypothesisKey, list[int]] = {}
     for number in np.argsort(-total).tolist():
-        if not forms[number].once:
+        if not forms[number].transient:
             places.setdefault(forms[number].place, []).append(number)
     found = {}
     for place, numbers in places.items():

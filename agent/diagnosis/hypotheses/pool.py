@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis.hypotheses.noise_model import NoiseModel
-from agent.diagnosis.rows.candidate import Candidate, Place
+from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 
 _AT_ONCE = 64  # candidates whose own moments are worked out together
 
 
-class Bank:
+class CandidateBlock:
     """Candidates next to each other: their columns per joint, and moments with [X, U, r] and with themselves."""
 
     def __init__(self, noise: NoiseModel, candidates: Sequence[Candidate]):
@@ -63,12 +63,12 @@ class Bank:
         return slice(start, start + len(self.candidates[number].names))
 
 
-class Pool:
+class CandidateMoments:
     """Candidates that hypotheses are made of, each known by its number, next to a noise model's columns."""
 
     def __init__(self, noise: NoiseModel):
         self.noise = noise
-        self.banks: list[Bank] = []
+        self.banks: list[CandidateBlock] = []
         self._where: list[tuple[int, int]] = []
         self._products: dict[tuple[int, int, int], np.ndarray] = {}
 
@@ -81,7 +81,7 @@ class Pool:
         """Add candidates; they get the next numbers."""
         if candidates:
             self._where += [(len(self.banks), k) for k in range(len(candidates))]
-            self.banks.append(Bank(self.noise, candidates))
+            self.banks.append(CandidateBlock(self.noise, candidates))
 
     def candidate(self, number: int) -> Candidate:
         """One of them."""
@@ -95,7 +95,7 @@ class Pool:
         known = {id(self.candidate(k)): k for k in range(self.size)}
         return [known[id(form)] for form in forms]
 
-    def kinds(self, place: Place) -> int:
+    def kinds(self, place: HypothesisKey) -> int:
         """How many kinds of forms there are of an effect on its joints."""
         return len({tuple(sorted(c.settings)) for bank in self.banks for c in bank.candidates if c.place == place})
 
@@ -113,7 +113,7 @@ class Pool:
         bank, k = self._where[number]
         return self.banks[bank].columns[joint][:, self.banks[bank].block(k, joint)]
 
-    def with_bank(self, number: int, bank: Bank, joint: int) -> np.ndarray:
+    def with_bank(self, number: int, bank: CandidateBlock, joint: int) -> np.ndarray:
         """(k, K) products of a candidate's columns on a joint with those of a bank."""
         return np.asarray((self.columns(number, joint).T @ bank.columns[joint]).astype(float) * self.noise.weight)
 
@@ -160,7 +160,7 @@ class Pool:
         for j in self.candidate(number).blocks:
             torque = self.columns(number, j) @ values
             torque = (torque * noise.sigma[:, j] / noise.nominal[j]) ** 2
-            acts = torque > 0 if self.candidate(number).once else np.ones(len(torque), dtype=bool)
+            acts = torque > 0 if self.candidate(number).transient else np.ones(len(torque), dtype=bool)
             power = np.bincount(noise.log[acts], torque[acts]) / np.maximum(np.bincount(noise.log[acts]), 1)
             found[j] = float(np.sqrt(power.max(initial=0.0)))
         return found

@@ -18,9 +18,9 @@ import numpy as np
 from scipy.special import gammaln
 
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
-from agent.diagnosis.hypotheses.finding import Finding, Hypothesis, near
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.rows.candidate import Place
+from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses, near
+from agent.diagnosis.rows.candidate import HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 
@@ -37,7 +37,7 @@ def compare(
     found: Sequence[Evaluated],
     observed: Observed | None = None,
     ignored: Collection[str] = (),
-) -> Finding:
+) -> SelectedCauses:
     """Return the likeliest causes with their classes, largest first, and all hypotheses that were evaluated.
 
     `fit` is the one without effects; `observed` counts with the evidence of the logs; effects that were `ignored` are
@@ -53,7 +53,7 @@ def compare(
     causes = tuple(next(c for c in leader.effects if c.place == place) for place in places)
     equal = [_equal_by_definition(place, leader, hypotheses) for place in places]
     classes = [_class_of(place, faults, statements, one) for place, one in zip(places, equal, strict=True)]
-    return Finding(
+    return SelectedCauses(
         fit,
         fit.with_chosen(causes) if causes else fit,
         causes,
@@ -99,7 +99,7 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
     return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.places))))
 
 
-def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Place], float]:
+def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[HypothesisKey], float]:
     """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
     found = {}
     places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
@@ -146,7 +146,7 @@ def _student(x: float, nu: float) -> float:
 
 
 #: Effects that are faults and large enough to matter, and joints with something else.
-Statement = tuple[frozenset[Place], frozenset[int]]
+Statement = tuple[frozenset[HypothesisKey], frozenset[int]]
 
 
 def _shares(hypothesis: Hypothesis) -> dict[Statement, float]:
@@ -168,7 +168,9 @@ def _statements(hypotheses: Sequence[Hypothesis]) -> dict[Statement, float]:
     return statements
 
 
-def _equal_by_definition(place: Place, leader: Hypothesis, hypotheses: Sequence[Hypothesis]) -> tuple[Place, ...]:
+def _equal_by_definition(
+    place: HypothesisKey, leader: Hypothesis, hypotheses: Sequence[Hypothesis]
+) -> tuple[HypothesisKey, ...]:
     """Hypotheses that equal a cause by definition unless the logs show otherwise, and explain about as much."""
     known = CATALOGUE[place[0]].structurally_equivalent
     found = {
@@ -182,11 +184,14 @@ def _equal_by_definition(place: Place, leader: Hypothesis, hypotheses: Sequence[
 
 
 def _class_of(
-    place: Place, faults: frozenset[Place], statements: Mapping[Statement, float], equal: tuple[Place, ...]
-) -> tuple[tuple[Place, ...], float]:
+    place: HypothesisKey,
+    faults: frozenset[HypothesisKey],
+    statements: Mapping[Statement, float],
+    equal: tuple[HypothesisKey, ...],
+) -> tuple[tuple[HypothesisKey, ...], float]:
     """Hypotheses that these motions do not distinguish from a cause, and the probability of any of them."""
     own = sum(share for (places, _), share in statements.items() if place in places)
-    instead: dict[Place, float] = {}
+    instead: dict[HypothesisKey, float] = {}
     for (places, _), share in statements.items():
         for other in sorted(places - faults) if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share

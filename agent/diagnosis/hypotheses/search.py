@@ -7,13 +7,13 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 import numpy as np
 
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
-from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.posterior import Observed, compare
-from agent.diagnosis.rows.candidate import Candidate, Place, Wanted
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
+from agent.diagnosis.rows.candidate import Candidate, HypothesisKey, Wanted
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.rows.needs import Excursions
+from agent.diagnosis.rows.needs import MotionCoverage
 from agent.model import CATALOGUE
 
 _LEADERS = 8  # hypotheses whose nonlinear parameters are refined
@@ -22,7 +22,7 @@ _FORMS = 3  # parameterisations per hypothesis
 _EXTENDED = (3, 2)  # hypotheses that one more effect is tried with, by how many they have
 _FACTORS = (1.25, 1.1, 1.04, 1.015)  # of nonlinear parameters, up and down
 
-Key = tuple[frozenset[Place], frozenset[int]]
+Key = tuple[frozenset[HypothesisKey], frozenset[int]]
 
 
 class Search:
@@ -49,13 +49,13 @@ class Search:
         fit: Fit,
         without: Sequence[str] = (),
         progress: Callable[[str], None] = lambda text: None,
-        only: Collection[Place] | None = None,
+        only: Collection[HypothesisKey] | None = None,
         observed: Observed | None = None,
         healthy: Healthy | None = None,
     ):
         self.fit, self._progress, self._observed, self._healthy = fit, progress, observed, healthy
         self._ignored, self.allowed = without, {name for name in CATALOGUE if name not in without}
-        self.excursions = Excursions.of(fit.signals)
+        self.excursions = MotionCoverage.of(fit.signals)
         self._places = [
             (effect, joints)
             for effect in CATALOGUE.values()
@@ -67,7 +67,7 @@ class Search:
         self._found: dict[Key, Evaluated] = {}
         self._tried: set[Key] = set()
 
-    def run(self) -> Finding:
+    def run(self) -> SelectedCauses:
         """Evaluate the promising hypotheses, and compare them."""
         tried = self.forms()
         self.evidence = evidence = Evidence(self.fit, tried, self._healthy)
@@ -90,10 +90,10 @@ class Search:
             found = self._compared()
         return found
 
-    def _compared(self) -> Finding:
+    def _compared(self) -> SelectedCauses:
         return compare(self.fit, self.evidence, list(self._found.values()), self._observed, self._ignored)
 
-    def _replace(self, found: Finding) -> bool:
+    def _replace(self, found: SelectedCauses) -> bool:
         """Try other effects in place of each of several causes; False where all have been tried already.
 
         Forward selection compares a cause with others only next to those that were found before it.
@@ -182,11 +182,11 @@ class Search:
 
     def _promising(
         self, base: Evaluated, gains: np.ndarray, values: Sequence[np.ndarray], count: int
-    ) -> dict[Place, list[int]]:
+    ) -> dict[HypothesisKey, list[int]]:
         """The best admissible parameterisations of the effects with the largest gain."""
         evidence = self.evidence
         chosen = [evidence.pool.candidate(k) for k in base.effects]
-        places: dict[Place, list[int]] = {}
+        places: dict[HypothesisKey, list[int]] = {}
         for k in np.argsort(-gains).tolist():
             place = evidence.pool.candidate(k).place
             forms = places.get(place, [])

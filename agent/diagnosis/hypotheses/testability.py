@@ -9,35 +9,35 @@ import numpy as np
 from agent.diagnosis.document import EffectPower, NotTestable
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.rows.candidate import Place
+from agent.diagnosis.rows.candidate import HypothesisKey
 from agent.diagnosis.rows.dataset import Dataset
-from agent.diagnosis.rows.needs import Excursions
+from agent.diagnosis.rows.needs import MotionCoverage
 from agent.model import CATALOGUE, Effect
 
 _NO_TORQUE = "no torque was recorded: what happens once is not tried on a simulated motion"
 
 
-def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[Place, float]:
+def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[HypothesisKey, float]:
     """Return the smallest detectable size of every effect on every joint, over its practical size.
 
     Four of five draws of that size would be named. It is infinite where the motions lack what the effect needs; what
     happens once has none.
     """
-    excursions = Excursions.of(dataset.fit.signals)
-    found: dict[Place, float] = {}
+    excursions = MotionCoverage.of(dataset.fit.signals)
+    found: dict[HypothesisKey, float] = {}
     for number, size in enumerate(evidence.smallest_sizes()):
         candidate = evidence.pool.candidate(number)
-        if not candidate.once:
+        if not candidate.transient:
             place = candidate.place
             found[place] = min(found.get(place, np.inf), size / candidate.effect.practical)
     for effect in CATALOGUE.values():
-        for joints in () if effect.once or effect.shows_in == "path" else effect.places(dataset.robot):
+        for joints in () if effect.transient or effect.shows_in == "path" else effect.places(dataset.robot):
             if (effect.name, joints) not in found and excursions.lacking(effect, joints):
                 found[effect.name, joints] = np.inf
     return found
 
 
-def power(dataset: Dataset, search: Search, sizes: Mapping[Place, float]) -> list[EffectPower]:
+def power(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]) -> list[EffectPower]:
     """Return the smallest size of every allowed effect that would be found; `sizes` as of `smallest_sizes`.
 
     A joint that never moved has an entry only for effects that would have shown without motion.
@@ -56,7 +56,7 @@ def power(dataset: Dataset, search: Search, sizes: Mapping[Place, float]) -> lis
     return found
 
 
-def not_testable(dataset: Dataset, search: Search, sizes: Mapping[Place, float]) -> list[NotTestable]:
+def not_testable(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]) -> list[NotTestable]:
     """Return the effects whose practical size would not be found on these motions, and why; `sizes` as above."""
     robot = dataset.robot
     result = []
@@ -67,7 +67,7 @@ def not_testable(dataset: Dataset, search: Search, sizes: Mapping[Place, float])
             where = ", ".join(robot.joint_names[j] for j in joints) or None
             why = search.excursions.lacking(effect, joints)
             if not why and (name, joints) not in sizes:
-                why = "" if effect.once else effect.why_absent
+                why = "" if effect.transient else effect.why_absent
             elif not why and sizes[name, joints] > 1:
                 nominal = robot.nominal_torque[list(joints) if joints else slice(None)]
                 unit = "% of nominal torque" if np.isfinite(nominal).all() else "times the model's held-out error"
@@ -75,7 +75,7 @@ def not_testable(dataset: Dataset, search: Search, sizes: Mapping[Place, float])
             if why:
                 result.append(NotTestable(name, where, why))
     if dataset.servos is not None:
-        result += [NotTestable(name, None, _NO_TORQUE) for name, effect in CATALOGUE.items() if effect.once]
+        result += [NotTestable(name, None, _NO_TORQUE) for name, effect in CATALOGUE.items() if effect.transient]
     return result + [NotTestable(name, None, why) for why in _lacking_paths(dataset) for name in effects_of_path()]
 
 

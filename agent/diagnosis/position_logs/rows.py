@@ -18,7 +18,7 @@ from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of,
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of
 from agent.diagnosis.rows.rounding import rounding_step
-from agent.diagnosis.rows.standstill import Rests
+from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import IdentifiedModel, NominalModel
 from agent.recording import Log
 from agent.simulators import SimulatedArm, model_of
@@ -72,7 +72,7 @@ def assemble_positions(
     covariance = np.diag((_EXACT * usual) ** 2)
     index = [np.arange(count + 4 * n)] * n
     block = segments_of(time, log, logs, LIMITS.block)
-    rests = Rests(tuple(() for _ in range(n)))
+    rests = StandstillWhitening(tuple(() for _ in range(n)))
     precision = precision_of(covariance)
     fit = Fit(
         reference, signals, joined, index, sigma, precision, np.zeros(len(usual)), cell, block, folds, single, rests

@@ -17,7 +17,7 @@ from agent.data_quality import unsigned_torque
 from agent.diagnosis.position_logs.fitting import OutputErrorFit, Parameters, fit_output_error, usual_scale
 from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
 from agent.diagnosis.position_logs.rows import assemble_positions
-from agent.diagnosis.rows.needs import Excursions
+from agent.diagnosis.rows.needs import MotionCoverage
 from agent.diagnosis.simulator_file.explanation import Explanation, explained
 from agent.model import MotionSignals, NominalModel
 from agent.recording import HELD, HOLD, SMOOTH, Log
@@ -152,7 +152,7 @@ def _about(found: OutputErrorFit, how: str, later: float) -> list[str]:
 
 
 def _turns(signals: Sequence[MotionSignals], names: Sequence[str]) -> list[str]:
-    seen = Excursions.of(signals)
+    seen = MotionCoverage.of(signals)
     few = [name for name, count in zip(names, seen.reversals, strict=True) if count < _REVERSALS]
     return (
         [f"{', '.join(few)} turn back less than {_REVERSALS} times, so that their friction and gain cannot be told"]

@@ -11,7 +11,7 @@ import numpy as np
 from agent.model import Effect, FitContext, ModelEffect, MotionSignals, NominalModel
 
 #: An effect's name, and joints from 0; none for one of the whole arm or base.
-Place = tuple[str, tuple[int, ...]]
+HypothesisKey = tuple[str, tuple[int, ...]]
 #: Effect, joints and nonlinear parameters of a candidate that is asked for.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
@@ -35,12 +35,12 @@ class Candidate:
     reference: NominalModel
 
     @property
-    def place(self) -> Place:
+    def place(self) -> HypothesisKey:
         """Effect and joints."""
         return self.effect.name, self.joints
 
     @property
-    def once(self) -> bool:
+    def transient(self) -> bool:
         """Whether it happens once, so that no other log tells of it and it is judged by `single` folds."""
         return self.effect.happens_once(self.settings)
 

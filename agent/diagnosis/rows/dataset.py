@@ -129,12 +129,12 @@ def assemble(
     background = np.maximum(_moving_error(model), LIMITS.least_background * scale)
     if not given:
         background = _expected_error(robot, observation, LIMITS.unknown_error)
-    seen_to = observation.segments[0].motion.cutoff
-    background = np.maximum(background, rounding_noise(reference, logs, seen_to))
+    cutoff = observation.segments[0].motion.cutoff
+    background = np.maximum(background, rounding_noise(reference, logs, cutoff))
     signals: list[MotionSignals] = []
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     index: list[np.ndarray] = []
-    begun = _begun(logs)
+    begun = _start_times(logs)
     for segment in observation.segments:
         motion = segment.motion
         carrier = carriers[segment.log_index]
@@ -148,7 +148,7 @@ def assemble(
             left = segment.torque[:, joint] - columns @ carrier.model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, left]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
-    sigma = background_of(reference if friction is None else NominalModel(friction), background, signals)
+    sigma = noise_level(reference if friction is None else NominalModel(friction), background, signals)
     joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
@@ -162,10 +162,10 @@ def assemble(
     block = segments_of(time, log, logs, LIMITS.block)
     fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
-    return Dataset(robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, seen_to)
+    return Dataset(robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, cutoff)
 
 
-def _begun(logs: Sequence[Log]) -> list[float]:
+def _start_times(logs: Sequence[Log]) -> list[float]:
     """Per log, when it began [s] from the first on. Stamps that have logs of one arm overlap are no times of day: the
     logs are taken to follow one another as they are given."""
     order = sorted(logs, key=lambda log: log.stamp)
@@ -196,7 +196,7 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
     return model.held_out_rmse if model.group_rmse is None else model.group_rmse[0]
 
 
-def background_of(
+def noise_level(
     reference: NominalModel,
     moving: np.ndarray,
     signals: Sequence[MotionSignals],

@@ -6,8 +6,8 @@ Residuals r of the model are explained by a change δ of its parameters and by c
 
 with σ_j the noise level, Λ the inverse of the covariance stored in the model, and T rows to one independent row. The
 noise level is the model's own held-out error of joint j. It is larger at standstill, where stiction leaves the torque
-open; these rows are whitened (`Rests`). Moments are kept per cell of rows, so every fold is arithmetic on small
-matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).
+open; these rows are whitened (`StandstillWhitening`). Moments are kept per cell of rows, so every fold is arithmetic
+on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − ZᵀX H⁻¹ XᵀZ: β = S⁻¹ (Zᵀr − ZᵀX H⁻¹ Xᵀr).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 
 from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates
 from agent.diagnosis.rows.moments import FitMoments
-from agent.diagnosis.rows.standstill import Rests
+from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import Effect, MotionSignals, NominalModel
 
 _INDEPENDENT = 0.1  # s between independent rows
@@ -49,7 +49,7 @@ class Fit:
         block: np.ndarray,
         folds: Sequence[Fold],
         single: Sequence[Fold],
-        rests: Rests | None = None,
+        rests: StandstillWhitening | None = None,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
@@ -59,7 +59,7 @@ class Fit:
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.repeat = max(1.0, _INDEPENDENT * rate)
-        self.rests = Rests.of(self.signals, self.repeat) if rests is None else rests
+        self.rests = StandstillWhitening.of(self.signals, self.repeat) if rests is None else rests
         self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
@@ -147,9 +147,9 @@ class Fit:
         return not np.any(self.shift)
 
     @property
-    def once(self) -> bool:
+    def transient(self) -> bool:
         """Whether a chosen effect happens once, so that only `single` folds can judge it."""
-        return any(c.once for c in self.chosen)
+        return any(c.transient for c in self.chosen)
 
     @property
     def near_rest(self) -> np.ndarray:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.diagnosis.rows.candidate import Candidate
-from agent.diagnosis.rows.standstill import Rests
+from agent.diagnosis.rows.standstill import StandstillWhitening
 
 _AT_ONCE = 25  # candidates worked out together: what fits into memory that the C library keeps
 
@@ -24,7 +24,12 @@ class FitMoments:
     """
 
     def __init__(
-        self, rows: Sequence[np.ndarray], index: Sequence[np.ndarray], cell: np.ndarray, parameters: int, rests: Rests
+        self,
+        rows: Sequence[np.ndarray],
+        index: Sequence[np.ndarray],
+        cell: np.ndarray,
+        parameters: int,
+        rests: StandstillWhitening,
     ):
         self.cells = cells = int(cell.max()) + 1
         self._index, self._base, self._rests = list(index), parameters, rests

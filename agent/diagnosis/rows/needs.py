@@ -15,7 +15,7 @@ _METRES = 0.1  # of a slide that count as a radian
 
 
 @dataclass(frozen=True, eq=False)
-class Excursions:
+class MotionCoverage:
     """What every joint went through: (n,) whether it moved, between which positions [rad or 0.1 m], its highest `speed`
     [/s], and how often it turned back by more than what counts as motion."""
 
@@ -27,8 +27,8 @@ class Excursions:
     reversals: np.ndarray
 
     @classmethod
-    def of(cls, signals: Sequence[MotionSignals]) -> Excursions:
-        """Excursions of filtered motions."""
+    def of(cls, signals: Sequence[MotionSignals]) -> MotionCoverage:
+        """Coverage of filtered motions."""
         robot = signals[0].reference.robot
         unit = np.where([joint.prismatic for joint in robot.joints], _METRES, 1.0)
         lowest, highest = (side([side(s.q, axis=0) for s in signals], axis=0) for side in (np.min, np.max))
@@ -42,9 +42,9 @@ class Excursions:
         """(n,) [rad or 0.1 m]."""
         return self.highest - self.lowest
 
-    def __add__(self, other: Excursions) -> Excursions:
-        """Excursions over both sets of motions."""
-        return Excursions(
+    def __add__(self, other: MotionCoverage) -> MotionCoverage:
+        """Coverage over both sets of motions."""
+        return MotionCoverage(
             self.names,
             self.moved | other.moved,
             np.minimum(self.lowest, other.lowest),

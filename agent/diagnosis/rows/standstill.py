@@ -44,7 +44,7 @@ def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Rests:
+class StandstillWhitening:
     """Where each joint stands for a while: stiction is one unknown torque all through such a stretch.
 
     With an error of covariance σ² (I + 1 1ᵀ) over the N independent rows of a stretch, as large a constant as what
@@ -58,7 +58,7 @@ class Rests:
     stretches: tuple[tuple[tuple[int, int, float], ...], ...]
 
     @classmethod
-    def of(cls, signals: Sequence[MotionSignals], repeat: float) -> Rests:
+    def of(cls, signals: Sequence[MotionSignals], repeat: float) -> StandstillWhitening:
         """Of some motions in a row, `repeat` rows of which are an independent one."""
         found = at_rest(signals)
         ends = np.cumsum([len(motion.time[motion.kept]) for motion in signals])

@@ -22,8 +22,8 @@ import numpy as np
 from agent.core import InputError
 from agent.diagnosis.document import Cause, WaterfallStep
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
-from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, assemble
@@ -49,7 +49,7 @@ _BELOW_ZERO = 0.1  # of a friction level without an effect: by chance, an added 
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
 #: Effects that do not show in motion, or are numbers of servos there.
-_NO_MOTION = tuple(name for name, effect in CATALOGUE.items() if effect.once or effect.numbers in (GAIN, DELAY))
+_NO_MOTION = tuple(name for name, effect in CATALOGUE.items() if effect.transient or effect.numbers in (GAIN, DELAY))
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
 _AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
@@ -64,7 +64,7 @@ class Explanation:
 
     released: ReleasedSimulator
     search: Search
-    finding: Finding
+    selected: SelectedCauses
     gap: HeldOutGap
 
     @property
@@ -81,14 +81,14 @@ class Explanation:
     def as_given(self) -> HeldOutGap:
         """The gap of the model as it was given."""
         if self.of_file:
-            return held_out_gap(self.dataset, self.finding.fit)
-        return self.gap.unclosed if self.dataset.given and not self.finding.causes else self.gap
+            return held_out_gap(self.dataset, self.selected.fit)
+        return self.gap.unclosed if self.dataset.given and not self.selected.causes else self.gap
 
     @cached_property
     def steps(self) -> tuple[WaterfallStep, ...]:
         """What each released number and each cause closes of that gap."""
-        found = self.of_file or self.finding.causes
-        return waterfall(self.released, self.finding, self.as_given) if found else ()
+        found = self.of_file or self.selected.causes
+        return waterfall(self.released, self.selected, self.as_given) if found else ()
 
     def stands(self, best: float, enough: float) -> bool:
         """Whether its causes hold against an explanation that moves more numbers and leaves `best`.
@@ -96,9 +96,9 @@ class Explanation:
         Its causes may leave `enough` times as much. A load may leave only what chance explains, and other effects that
         may be links nothing more.
         """
-        if _like_links(self.finding.causes):
+        if _like_links(self.selected.causes):
             return self.left <= best
-        like_load = any(candidate.effect.numbers == "load" for candidate in self.finding.causes)
+        like_load = any(candidate.effect.numbers == "load" for candidate in self.selected.causes)
         return self.left <= _AS_GOOD * best if like_load else self.left - best <= enough
 
     @property
@@ -177,14 +177,16 @@ def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str]
         found.append(search(drives))
     if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
-        others = release(dataset, search(release_all(dataset)).finding.causes)
+        others = release(dataset, search(release_all(dataset)).selected.causes)
         found.append(min(search(others), search(everything), key=lambda entry: entry.left))
     best = min(entry.left for entry in found)
-    single = [k for k, entry in enumerate(found[:-1]) if entry.finding.causes and (k or len(entry.finding.causes) == 1)]
+    single = [
+        k for k, entry in enumerate(found[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
+    ]
     chosen = next((found[k] for k in single if found[k].stands(best, enough)), found[-1])
-    for number in range(len(chosen.finding.causes)):
+    for number in range(len(chosen.selected.causes)):
         if numbers_instead(chosen, number, unit) is not None:
-            chosen = replace(chosen, finding=chosen.finding.with_rival(number, (_LINKS, ())))
+            chosen = replace(chosen, selected=chosen.selected.with_rival(number, (_LINKS, ())))
     return chosen
 
 
@@ -201,12 +203,12 @@ def _search_with(
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
     if moved.servos is not None:  # the gap of the file as given: without its delay, noise of the encoder is most of it
         moved = replace(moved, residual=released.given.residual)
-    finding, gap = supported(moved, named(search.run()), unit)
-    kept = [k for k in range(len(finding.causes)) if _possible(model, finding.fit, k)]
-    if len(kept) < len(finding.causes):
-        finding = finding.only(kept) if kept else finding.without_causes(leaves_gap=True)
-        finding, gap = supported(moved, finding, unit)
-    return Explanation(released, search, finding, gap)
+    selected, gap = supported(moved, named(search.run()), unit)
+    kept = [k for k in range(len(selected.causes)) if _possible(model, selected.fit, k)]
+    if len(kept) < len(selected.causes):
+        selected = selected.only(kept) if kept else selected.without_causes(leaves_gap=True)
+        selected, gap = supported(moved, selected, unit)
+    return Explanation(released, search, selected, gap)
 
 
 def with_numbers(verdict: Verdict, found: Explanation, numbers: Sequence[Cause]) -> Verdict:
@@ -214,9 +216,9 @@ def with_numbers(verdict: Verdict, found: Explanation, numbers: Sequence[Cause])
 
     A file without friction is wrong in its friction, whatever else is found next to it.
     """
-    if not found.finding.causes or not verdict.causes:
+    if not found.selected.causes or not verdict.causes:
         return verdict
-    figures = {(one.effect, one.joints): one for one in causes_of(found.dataset, found.finding, found.as_given)}
+    figures = {(one.effect, one.joints): one for one in causes_of(found.dataset, found.selected, found.as_given)}
     effects = [
         replace(one, closure=figures[one.effect, one.joints].closure) if (one.effect, one.joints) in figures else one
         for one in verdict.causes
@@ -230,7 +232,7 @@ def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> Releas
 
     Only causes that may be links are checked: a wrong weight of some or all links is more likely.
     """
-    causes = entry.finding.causes
+    causes = entry.selected.causes
     if not (causes[number].effect.numbers == "load" or _like_links([causes[number]])):
         return None
     others = (*causes[:number], *causes[number + 1 :])

@@ -18,8 +18,8 @@ import numpy as np
 from agent.diagnosis.document import Cause, EffectPlace, WaterfallStep
 from agent.diagnosis.gap.regime_shares import resampled
 from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
-from agent.diagnosis.hypotheses.finding import Finding
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, precision_of
@@ -103,7 +103,7 @@ def release(
     least = LIMITS.least_gain * float(fit.count.sum())
     while pool:
         tried = [released_fit(dataset, [*chosen, group]).with_chosen(beside) for group in pool]
-        gains = [fit.error(fit.once) - other.error(fit.once) for other in tried]
+        gains = [fit.error(fit.transient) - other.error(fit.transient) for other in tried]
         if max(gains) < least:
             break
         best = next(k for k, gain in enumerate(gains) if gain >= _EQUAL * max(gains))
@@ -227,7 +227,7 @@ def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
     return dataset.fit.with_prior(precision_of(covariance))
 
 
-def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
+def waterfall(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
     """Part of the held-out gap that each released group, then each effect, closes: alone, and in the order found.
 
     Of a model that nothing is released of, the effects come first, with its numbers as they are. What its own
@@ -241,21 +241,21 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
     fits = [released_fit(dataset, found.groups[: k + 1]) for k in range(len(found.groups))]
     alone = [released_fit(dataset, [group]).out_of_fold() for group in found.groups]
     texts = [group.text(names) for group in found.groups]
-    plain, moved = dataset.fit, dataset.fit.with_chosen(finding.causes)
+    plain, moved = dataset.fit, dataset.fit.with_chosen(selected.causes)
     if not found.groups and dataset.given:  # a model fitted to the same logs has no own numbers to keep
         held = plain.with_prior(precision_of(_HELD * dataset.held))
-        by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(finding.causes), moved))
+        by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(selected.causes), moved))
         plain = held if by_both - by_effects >= LIMITS.least_share else plain
     last = fits[-1] if fits else plain
-    for k, candidate in enumerate(finding.causes):
-        fits.append(last.with_chosen(finding.causes[: k + 1]))
-        alone.append(plain.with_chosen((candidate,)).out_of_fold(candidate.once))
+    for k, candidate in enumerate(selected.causes):
+        fits.append(last.with_chosen(selected.causes[: k + 1]))
+        alone.append(plain.with_chosen((candidate,)).out_of_fold(candidate.transient))
         texts.append(candidate.text(names))
     if plain is not dataset.fit:
         fits.append(moved)
         alone.append(dataset.fit.out_of_fold())
         texts.append(OWN_PARAMETERS)
-    stages = [fit.out_of_fold(fit.once) for fit in fits]
+    stages = [fit.out_of_fold(fit.transient) for fit in fits]
     errors = [gap.raw, *(gap.beyond(stage) for stage in (*stages, *alone))]
     energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
     floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
@@ -285,7 +285,7 @@ def waterfall(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tu
 
 
 def _absorbed(gap: HeldOutGap, fit: Fit) -> float:
-    return replace(gap, after=rms(gap.beyond(fit.out_of_fold(fit.once))) / gap.unit).absorbed
+    return replace(gap, after=rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit).absorbed
 
 
 def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
@@ -326,10 +326,10 @@ def _on_joint(found: ReleasedSimulator, group: Group, beside: Sequence[Candidate
     if found.given.servos is None or group.joint < 0:
         return None
     others = released_fit(found.given, [g for g in found.groups if g is not group]).with_chosen(beside)
-    return gap.closure_on((group.joint,), others.out_of_fold(others.once))
+    return gap.closure_on((group.joint,), others.out_of_fold(others.transient))
 
 
-def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGap) -> tuple[Cause, ...]:
+def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap) -> tuple[Cause, ...]:
     """The released groups in the vocabulary of effects, what closes most first.
 
     As of every cause, what it closes is what is lost when these numbers alone stay as the file has them and everything
@@ -348,8 +348,8 @@ def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGa
 
     def closes(*groups: Group) -> float | None:
         others = [group for group in found.groups if not any(group is one for one in groups)]
-        fit = released_fit(found.given, others).with_chosen(finding.causes)
-        part = gap.closure_without(fit.out_of_fold(fit.once))
+        fit = released_fit(found.given, others).with_chosen(selected.causes)
+        part = gap.closure_without(fit.out_of_fold(fit.transient))
         # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes
         return part if part is None or found.given.servos is None else min(part, 1.0)
 
@@ -363,13 +363,13 @@ def causes_of_numbers(found: ReleasedSimulator, finding: Finding, gap: HeldOutGa
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
             equal = (*like_load, *((EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()))
-            own_part = _on_joint(found, group, finding.causes, gap)
+            own_part = _on_joint(found, group, selected.causes, gap)
             causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == GAIN and found.given.servos is not None:
             kp, more = found.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
             parameters = {"scale_error": float(kp / (kp + more) - 1)}
             equal = (*like_load, *((EffectPlace(called["friction"], joint),) if group.joint in doubtful else ()))
-            own_part = _on_joint(found, group, finding.causes, gap)
+            own_part = _on_joint(found, group, selected.causes, gap)
             causes.append(Cause(called[GAIN], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == DELAY:
             causes.append(Cause(called[DELAY], (), closes(group), probability, {"delay": float(change[-1])}))

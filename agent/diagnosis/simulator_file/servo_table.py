@@ -28,7 +28,7 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     The interval is the wider of the posterior's with all drives free, and of what leaving motions out, and halves of
     them, gives (delete-a-group jackknife). A joint whose gain positions do not tell has ratios only, and no numbers.
     """
-    dataset, fit = found.dataset, found.finding.fit
+    dataset, fit = found.dataset, found.selected.fit
     names, servos = dataset.robot.joint_names, dataset.servos
     assert servos is not None
     doubtful = doubtful_gains(dataset)

@@ -54,7 +54,7 @@ class Contact(Effect):
     phrase = "something pushed the arm for a while"
     look_at = "what the arm touched at that time: a person, a fixture, a caught hose"
     residual_driven = True
-    once = True
+    transient = True
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         """The strongest windows that do not overlap, in sets of growing size.

@@ -106,7 +106,7 @@ class Effect(ABC):
     moves_arm: ClassVar[bool] = True
     shapes: ClassVar[tuple[str, ...]] = ()
     structurally_equivalent: ClassVar[tuple[str, ...]] = ()
-    once: ClassVar[bool] = False
+    transient: ClassVar[bool] = False
     refined: ClassVar[tuple[str, ...]] = ()
     nonlinear: ClassVar[tuple[str, ...] | None] = None
     residual_driven: ClassVar[bool] = False
@@ -127,11 +127,11 @@ class Effect(ABC):
     @property
     def of_the_arm(self) -> bool:
         """Whether a simulator of the arm has it: neither transient nor in the set-points only."""
-        return not self.once and self.shows_in == "torque"
+        return not self.transient and self.shows_in == "torque"
 
     def happens_once(self, settings: Numbers) -> bool:
         """Whether it is transient with these nonlinear parameters."""
-        return self.once
+        return self.transient
 
     def places(self, robot: RobotDescription) -> list[Joints]:
         """Joints where it may act."""

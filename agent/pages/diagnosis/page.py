@@ -23,9 +23,10 @@ from agent.pages.diagnosis.simulator import drift_section, ranges_section, water
 from agent.pages.diagnosis.summary import planned_section, rounds_section
 from agent.pages.elements import About, NextStep, Page, Section, Table, render
 from agent.pages.phrasing import (
-    FOUR,
     NOT_TESTABLE,
+    SUMMARY_KEYS,
     closes,
+    effect_phrase,
     headline,
     look_at,
     measures,
@@ -34,7 +35,6 @@ from agent.pages.phrasing import (
     place,
     said_by_rounds,
     summary,
-    what,
     where_sentences,
 )
 from agent.pages.scene import arm_picture
@@ -89,7 +89,7 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep], result
         else "What do these motions show that links and friction cannot explain?"
     )
     said = summary(result)
-    facts = [(title, said[key]) for key, title in FOUR.items() if key != "next"]
+    facts = [(title, said[key]) for key, title in SUMMARY_KEYS.items() if key != "next"]
     marked = result["causes"][0]["joints"] if result["causes"] else []
     posture = logs[0].position[len(logs[0].position) // 2]
     picture = arm_picture(dataset.robot, posture, marked) if marked else ""
@@ -127,7 +127,7 @@ def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | No
         (f"{cause['effect']}, {place(cause)}", key.replace("_", " "), parameter_text(result, number, key))
         for number, cause in enumerate(result["causes"])
         for key in reported_parameters(cause)
-        if not CATALOGUE[cause["effect"]].once
+        if not CATALOGUE[cause["effect"]].transient
     ]
     pushes = list(_push_rows(diagnosis))
     if rows or pushes:
@@ -144,7 +144,7 @@ def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | No
 def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
     """Where, when and how hard, of every push of a contact."""
     for number, cause in enumerate(diagnosis.result["causes"]):
-        parameters = cause["parameters"] if CATALOGUE[cause["effect"]].once else {}
+        parameters = cause["parameters"] if CATALOGUE[cause["effect"]].transient else {}
         pushes = sum(key.startswith("link") for key in parameters)
         for push in range(1, pushes + 1):
             end = "" if push == 1 else f"_{push}"
@@ -158,11 +158,14 @@ def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
 def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[str]:
     closed = f" On held-out motion it {closes(cause, result)}." if closes(cause, result) else ""
     together = " for it and what cannot be distinguished from it" if cause["equivalent_to"] else ""
-    yield f"{place(cause)}: {what(cause['effect'], result)}. Probability {cause['probability']:.2f}{together}.{closed}"
+    effect = effect_phrase(cause["effect"], result)
+    yield f"{place(cause)}: {effect}. Probability {cause['probability']:.2f}{together}.{closed}"
     yield f"Look at: {look_at(cause, result)}."
     yield f"It shows as: {CATALOGUE[cause['effect']].signature}."
     if cause["equivalent_to"]:
-        others = "; ".join(f"{what(other['effect'], result)} on {place(other)}" for other in cause["equivalent_to"])
+        others = "; ".join(
+            f"{effect_phrase(other['effect'], result)} on {place(other)}" for other in cause["equivalent_to"]
+        )
         yield f"These logs cannot distinguish it from: {others}."
 
 
@@ -208,7 +211,7 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
     if figures is None:
         text.append(
             "No log has set-points without a gap, so nothing was simulated."
-            if diagnosis.finding.causes
+            if diagnosis.selected.causes
             else "No effect was found, so there is nothing to compare in forward simulation."
         )
     else:
@@ -237,11 +240,11 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
 
 def _hypotheses_section(diagnosis: Diagnosis) -> Section:
     """The hypotheses that were compared, likeliest first."""
-    finding, names = diagnosis.finding, diagnosis.dataset.robot.joint_names
-    named = {candidate.place for candidate in finding.causes}
-    rivals = {place for several in finding.rivals for place in several}
+    selected, names = diagnosis.selected, diagnosis.dataset.robot.joint_names
+    named = {candidate.place for candidate in selected.causes}
+    rivals = {place for several in selected.rivals for place in several}
     rows = []
-    for one in finding.hypotheses[:_MOST_HYPOTHESES]:
+    for one in selected.hypotheses[:_MOST_HYPOTHESES]:
         effects = [candidate.text(names) for candidate in one.effects]
         effects += [f"something else on {names[joint]}" for joint in one.free]
         figures = (f"{one.log_bayes_factor:.1f}", f"{one.probability:.3f}", f"{100 * one.explained:.0f} %")

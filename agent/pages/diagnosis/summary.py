@@ -7,7 +7,7 @@ from typing import Any
 
 from agent.diagnosis import reported_parameters, size_text, torque_gap
 from agent.pages.elements import Section, Table
-from agent.pages.phrasing import chances_text, diagnosis_summary, next_text, place, what
+from agent.pages.phrasing import chances_text, diagnosis_summary, effect_phrase, next_text, place
 from agent.robot import figure_text
 
 
@@ -34,7 +34,9 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
         closed, probability = _percent(cause["closure"]), f"{cause['probability']:.2f}"
         sizes = [f"{key} {size_text(cause, key, cause['parameters'][key])}" for key in reported_parameters(cause)]
         equals = ", ".join(other["effect"] for other in cause["equivalent_to"]) or "-"
-        causes.append((what(cause["effect"], result), place(cause), closed, probability, "; ".join(sizes), equals))
+        causes.append(
+            (effect_phrase(cause["effect"], result), place(cause), closed, probability, "; ".join(sizes), equals)
+        )
     gap = result["gap"]
     # where there is no gap in torque, no joint has a share of it
     shares = {entry["joint"]: entry["share"] for entry in result["where"] if torque_gap(result)}

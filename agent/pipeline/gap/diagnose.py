@@ -15,7 +15,7 @@ from agent.diagnosis import Diagnosis, extended_model, simulation_part, supporte
 from agent.experiment import Deadline
 from agent.model import CATALOGUE, payload_of
 from agent.pages import diagnosis_report, in_short, summary
-from agent.pipeline.gap.finding import Found, find, read_at_rest, read_reference
+from agent.pipeline.gap.diagnosis_run import DiagnosisRun, find, read_at_rest, read_reference
 from agent.pipeline.gap.next_experiment import NoMotion, clearer_with_mass, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import GapQuestion, options_of
@@ -162,7 +162,7 @@ def _answer_run(
 
 
 def _published(
-    found: Found,
+    found: DiagnosisRun,
     question: GapQuestion,
     console: Console,
     source: str | None,
@@ -185,7 +185,9 @@ def _published(
                 write_atomically(one, html)
 
 
-def _results(found: Found, question: GapQuestion, console: Console, rounds: Rounds | None) -> Iterator[dict[str, Any]]:
+def _results(
+    found: DiagnosisRun, question: GapQuestion, console: Console, rounds: Rounds | None
+) -> Iterator[dict[str, Any]]:
     """The result of a diagnosis, and again with each motion that is planned, and with what stopped the planning.
 
     Last, the model or the simulator that is asked for is written. `rounds` are those of the diagnosed logs.
@@ -241,7 +243,7 @@ def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
     model = extended_model(found)
     left_out = [c["effect"] for c in found.result["causes"] if c["effect"] not in {e.effect for e in model.effects}]
     for name in left_out:
-        why = "it happened once" if CATALOGUE[name].once else "it is in the set-points only"
+        why = "it happened once" if CATALOGUE[name].transient else "it is in the set-points only"
         console.warn(f"{out}: {name} is left out of the model: {why}")
     if not found.result["causes"]:
         console.warn(f"{out}: no effect was found, so the model is unchanged")

@@ -251,14 +251,14 @@ def _nothing_to_separate(found: Diagnosis) -> NoMotion:
     """No hypothesis is left to separate from another; the cause may be in doubt all the same."""
     if found.verdict != "ambiguous":
         return NoMotion("nothing is open: no further motion is needed")
-    if not found.finding.causes and (experiment := found.document.next_experiment) is not None:
+    if not found.selected.causes and (experiment := found.document.next_experiment) is not None:
         return NoMotion(experiment.motion, experiment.separates)  # between numbers of a simulator's file
-    effect, joints = found.finding.causes[0].place
+    effect, joints = found.selected.causes[0].place
     on = ", ".join(found.dataset.robot.joint_names[joint] for joint in joints)
     return NoMotion(
         f"{effect}{f' on {on}' if on else ''} closes too little of the gap to be sure. No motion can be "
         "planned, as no alternative fits. Record a longer, more varied motion in the sub-region (agent record RECIPE)",
-        tuple(sorted({cause.effect.name for cause in found.finding.causes})),
+        tuple(sorted({cause.effect.name for cause in found.selected.causes})),
     )
 
 
@@ -344,7 +344,7 @@ def other_test(found: Diagnosis, pairs: Sequence[OpenPair]) -> str:
 
 def brakes_tell(found: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
     """Whether an offset of a torque channel is open and the zero of the channel is not known."""
-    if found.finding.zero_known:
+    if found.selected.zero_known:
         return False
     return any(name in CATALOGUE and CATALOGUE[name].adds_to_report for pair in pairs for name in pair.names)
 
@@ -369,7 +369,7 @@ def with_a_mass(
     if bare is not None:
         asked = [pair for pair in pairs if id(pair) in doubtful]
         motions = [piece.motion for piece in bare.pieces]
-        if not tells_apart_by_load(found.dataset, found.finding.evidence, asked, motions, load):
+        if not tells_apart_by_load(found.dataset, found.selected.evidence, asked, motions, load):
             return None
     console.step("checking whether a known mass at the flange settles it")
     loaded = replace(problem, load=load)
@@ -384,8 +384,8 @@ def with_a_mass(
 
 def _doubted(found: Diagnosis, expected: Expected) -> bool:
     """Whether the named cause is hardly distinguished from one that the verdict calls equivalent."""
-    names, equal = found.dataset.robot.joint_names, found.finding.rivals
-    first = found.finding.causes[0].place if found.finding.causes else None
+    names, equal = found.dataset.robot.joint_names, found.selected.rivals
+    first = found.selected.causes[0].place if found.selected.causes else None
     one, other = expected.pair.first.place(names), expected.pair.second.place(names)
     return expected.after < _LIKELY and one == first and other in equal[0]
 

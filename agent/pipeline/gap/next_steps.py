@@ -67,7 +67,7 @@ def after_diagnosis(
     if all(CATALOGUE[cause["effect"]].shows_in == "path" for cause in result["causes"]):
         learn = ["agent", "learn-interpolator", "--robot", robot or "ROBOT", "-o", "law.yaml", *paths]
         return [NextStep("learn the controller's interpolator:", shlex.join(learn))]
-    if all(CATALOGUE[cause["effect"]].once for cause in result["causes"]):
+    if all(CATALOGUE[cause["effect"]].transient for cause in result["causes"]):
         return [NextStep("record again with nothing touching the arm: a single event is not added to a model.")]
     written = question.out if question.next_recipe is None else None
     if question.model is not None and is_simulator(question.model):

@@ -11,7 +11,7 @@ from agent.core import Console, sha256_text, words_of
 from agent.diagnosis import could_show
 from agent.experiment import Deadline
 from agent.link import Recording, open_link
-from agent.pipeline.gap.finding import Found
+from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, plan_next
 from agent.pipeline.gap.question import SHORTEST
 from agent.pipeline.job import Job
@@ -38,7 +38,7 @@ class Rounds:
 
     logs: list[Path]
     asked: list[dict[str, Any]]
-    last: Found
+    last: DiagnosisRun
     recipe: Path
     end: str = ""
     other: NoMotion | None = None
@@ -52,7 +52,7 @@ class Rounds:
 
 
 def until_sure(
-    find: Callable[[Sequence[Path]], Found],
+    find: Callable[[Sequence[Path]], DiagnosisRun],
     logs: Sequence[Path],
     job: Job,
     budget: float,

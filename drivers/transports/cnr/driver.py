@@ -284,7 +284,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             return
         if feedbacks:
             motion.feedbacks(feedbacks, sockets.last_status())
-        fault = motion.turn()
+        fault = motion.poll()
         fault = motion.too_full() or fault
         if fault is not None and not motion.failing:
             self._end_with(sockets, motion, fault)
@@ -315,7 +315,7 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             motion.fail(error)
             while self._link is not None and not motion.over:
                 self._take_samples(motion)
-                motion.turn()
+                motion.poll()
                 time.sleep(FEEDBACK_PERIOD)
         finally:
             motion.finish(error)

@@ -300,7 +300,7 @@ class CnrMotion(SampleStream):
         else:
             self._give(times, values)
 
-    def turn(self) -> DriverError | None:
+    def poll(self) -> DriverError | None:
         """Called continuously: ends a motion that is over; returns an error for `fail`, if there is one."""
         now = time.monotonic()
         passed, self._turned = min(now - self._turned, _TURN), now

@@ -262,7 +262,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     def _on_turn(self) -> None:
         if self._motion is not None and not self._motion.over:
-            self._motion.turn()
+            self._motion.poll()
             if self._brake is not None:
                 self._brake.beat()
 

@@ -159,7 +159,7 @@ class Ros2Motion(SampleStream):
             )
         self._match(state.stamp)
 
-    def turn(self) -> None:
+    def poll(self) -> None:
         """Look at what depends on time alone."""
         if self.over:
             return

@@ -159,7 +159,7 @@ def test_the_page_lists_each_push_with_point_times_and_force(arm, model, free):
     times = [(1.2, 2.0), (6.9, 7.5)]
     found = diagnose(arm, [pushed(arm, free[0], "link_3", times), free[1]], model)
     assert [cause["effect"] for cause in found.result["causes"]] == ["contact"]
-    (known,) = intervals(found.finding)
+    (known,) = intervals(found.selected)
     for axis, force in zip("xyz", FORCE, strict=True):
         low, high = known[f"force_{axis}"]
         assert high - low < np.linalg.norm(FORCE), "a fold of motions that holds all of a push says nothing of it"

@@ -144,4 +144,4 @@ def test_a_ruled_out_effect_is_not_asked_about_again(arm, model, short_logs):
     found = [diagnose(arm, short_logs, model, drives_off=drives) for drives in (None, zero)]
     asked = [{name for pair in open_pairs(one) for name in pair.names} for one in found]
     assert ["torque_offset" in names for names in asked] == [True, False]
-    assert [one.finding.zero_known for one in found] == [False, True]
+    assert [one.selected.zero_known for one in found] == [False, True]

@@ -26,7 +26,7 @@ QUICK = ("stribeck", "payload", "gravity_spring", "time_delay")
 MODELLED = [
     pytest.param(name, marks=() if name in QUICK else pytest.mark.verify)
     for name, effect in CATALOGUE.items()
-    if not effect.once and name != "interpolator_mismatch"
+    if not effect.transient and name != "interpolator_mismatch"
 ]
 
 SWINGING = ("joint_elasticity", "backlash", "torque_ripple")

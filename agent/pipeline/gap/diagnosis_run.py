@@ -21,7 +21,7 @@ from agent.simulators import SIMULATOR, Simulator, is_simulator, load_joint_map,
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class DiagnosisRun:
     """A diagnosis, its simulations, and the simulator's file that was read."""
 
     diagnosis: Diagnosis
@@ -34,7 +34,9 @@ class Found:
         return self.diagnosis.result
 
 
-def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console) -> Found:
+def find(
+    robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console
+) -> DiagnosisRun:
     """Read logs and model, check that they fit together, diagnose and simulate."""
     reference, simulator = read_reference(robot, paths, question, console)
     described = robot is not None or simulator is None
@@ -74,7 +76,7 @@ def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQue
         known_kp="kp" in question.known,
     )
     if by_position:
-        return Found(found, [], simulator)
+        return DiagnosisRun(found, [], simulator)
     say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
     console.step("simulating with and without the effects")
     simulated: list[Simulated] = []
@@ -84,7 +86,7 @@ def find(robot: RobotDescription | None, paths: Sequence[Path], question: GapQue
     except (AgentError, ArithmeticError, ValueError) as error:
         failed = f"the forward simulation failed; the verdict does not depend on it: {error}"
     warnings = (*found.warnings, *filter(None, [failed]))
-    return Found(replace(found, document=replace(found.document, warnings=warnings)), simulated, simulator)
+    return DiagnosisRun(replace(found, document=replace(found.document, warnings=warnings)), simulated, simulator)
 
 
 def read_at_rest(

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
-from agent.diagnosis import LIMITS, Candidate, Dataset, Evidence, Excursions, background_of, smooth_columns
+from agent.diagnosis import LIMITS, Candidate, Dataset, Evidence, MotionCoverage, noise_level, smooth_columns
 from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.model import MotionSignals, NominalModel
@@ -39,18 +39,18 @@ _POWER = 0.84
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class InformationGain:
     """Gain from motions: information (m, m) on the parameters of model and forms, and the excursions of all joints."""
 
     information: np.ndarray
-    excursions: Excursions
+    excursions: MotionCoverage
 
-    def __add__(self, other: Told) -> Told:
+    def __add__(self, other: InformationGain) -> InformationGain:
         """The sum of both."""
-        return Told(self.information + other.information, self.excursions + other.excursions)
+        return InformationGain(self.information + other.information, self.excursions + other.excursions)
 
 
-class Outlook:
+class ExperimentScorer:
     """The open hypotheses after a diagnosis, ready to weigh motions, with a known `load` at the flange or none."""
 
     def __init__(self, dataset: Dataset, evidence: Evidence, pairs: Sequence[OpenPair], load: Tool | None = None):
@@ -61,20 +61,20 @@ class Outlook:
         self._forms = [one for one in dict.fromkeys(one for side in sides for one in side) if one is not None]
         self._known, self._prior, ends = evidence.information(self._forms)
         self._place = {one: np.arange(a, b) for one, (a, b) in zip(self._forms, pairwise(ends), strict=True)}
-        self._reached = Excursions.of(dataset.fit.signals)
+        self._reached = MotionCoverage.of(dataset.fit.signals)
 
     @property
-    def nothing(self) -> Told:
+    def nothing(self) -> InformationGain:
         """No further motion."""
         none = replace(self._reached, reversals=np.zeros_like(self._reached.reversals))
-        return Told(np.zeros_like(self._known), none)
+        return InformationGain(np.zeros_like(self._known), none)
 
     def model_information(self, motion: GridMotion) -> np.ndarray:
         """Information (p, p) that a motion adds on the model's own parameters."""
         model = len(self.dataset.fit.precision)
         return self.told(motion).information[:model, :model]
 
-    def told(self, motion: GridMotion) -> Told:
+    def told(self, motion: GridMotion) -> InformationGain:
         """Information that a motion adds."""
         dataset, evidence = self.dataset, self._evidence
         fast = any(one.effect.fast_torque for one in self._forms)
@@ -95,7 +95,7 @@ class Outlook:
             used = np.flatnonzero(np.any(rows != 0, axis=0))
             free = free * (moving[j] / sigma[:, j])[:, None]
             total[np.ix_(used, used)] += evidence.reduced(j, rows[:, used], free, step)
-        return Told(total, Excursions.of([signals]))
+        return InformationGain(total, MotionCoverage.of([signals]))
 
     def _columns(self, signals: MotionSignals, motion: GridMotion, rate: float) -> np.ndarray:
         """(S, n, k) torque [N·m] per unit of every parameter of the forms."""
@@ -112,13 +112,13 @@ class Outlook:
             blocks.append(np.nan_to_num(block))
         return np.concatenate(blocks, axis=2) if blocks else np.zeros((*motion.q.shape, 0))
 
-    def energy(self, told: Told, side: Side) -> float:
+    def energy(self, gain: InformationGain, side: Side) -> float:
         """Information that motions have of a side's own size."""
         assert side.form is not None
         place = self._place[side.form]
-        return float(side.values @ told.information[np.ix_(place, place)] @ side.values)
+        return float(side.values @ gain.information[np.ix_(place, place)] @ side.values)
 
-    def evidence(self, added: Told) -> np.ndarray:
+    def evidence(self, added: InformationGain) -> np.ndarray:
         """(pairs, 2) expected log Bayes factor of the first side where it is true, and of the second.
 
         After all logs and the motions added; not a number for a side that is no effect.
@@ -133,7 +133,7 @@ class Outlook:
             ]
         )
 
-    def _expected(self, added: Told, pair: OpenPair, true: Side, rival: Side) -> float:
+    def _expected(self, added: InformationGain, pair: OpenPair, true: Side, rival: Side) -> float:
         if true.form is None:
             return float("nan")
         whole, model = self._known + added.information, len(self.dataset.fit.precision)
@@ -158,14 +158,14 @@ class Outlook:
         """(k,) parameters at which an effect has its practical size, each of them as large."""
         return form.effect.practical * self._evidence.pool.unit_torque(form)
 
-    def chances(self, added: Told) -> np.ndarray:
+    def chances(self, added: InformationGain) -> np.ndarray:
         """(pairs, 2) probability of the right answer where the first or the second side is true, after all motions."""
         expected = self.evidence(added)
         least = np.array([[self._evidence.needed(pair.second.form is None)] for pair in self.pairs])
         deviation = np.sqrt(2 * np.maximum(expected, 1e-12))
         return np.asarray(ndtr((expected - least) / deviation))
 
-    def minimum_detectable_sizes(self, added: Told) -> list[float | None]:
+    def minimum_detectable_sizes(self, added: InformationGain) -> list[float | None]:
         """Per pair with nothing as its rival the smallest size that four of five draws show, over the practical one."""
         root, least = np.sqrt(2) * _POWER, self._evidence.needed(True)
         needed = (root + np.sqrt(root**2 + 4 * least)) / 2
@@ -183,7 +183,7 @@ def background_on(dataset: Dataset, reference: NominalModel, motion: MotionSigna
     """
     fit = dataset.fit
     moving = fit.sigma.min(axis=0)
-    sigma = background_of(reference, moving, [motion], fit.signals)
+    sigma = noise_level(reference, moving, [motion], fit.signals)
     turns = np.zeros(sigma.shape, dtype=bool)
     turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
     turns[:-1] |= turns[1:]
@@ -213,7 +213,7 @@ def tells_apart_by_load(
     dataset: Dataset, evidence: Evidence, pairs: Sequence[OpenPair], motions: Sequence[GridMotion], load: Tool
 ) -> bool:
     """Return whether a known load at the flange clearly improves what the same motions distinguish."""
-    bare, loaded = (Outlook(dataset, evidence, pairs, one) for one in (None, load))
+    bare, loaded = (ExperimentScorer(dataset, evidence, pairs, one) for one in (None, load))
     first, second = (
         np.nan_to_num(one.evidence(sum((one.told(motion) for motion in motions), one.nothing)))
         for one in (bare, loaded)

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from agent.diagnosis.hypotheses.evidence import Evidence
-from agent.diagnosis.rows.candidate import Candidate, Place
+from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 
 
-def near(place: Place, other: Place) -> bool:
+def near(place: HypothesisKey, other: HypothesisKey) -> bool:
     """Whether two hypotheses are on the same joints, or one of them is on the whole arm."""
     return place[1] == other[1] or not place[1] or not other[1]
 
@@ -28,7 +28,7 @@ class Hypothesis:
     effects: tuple[Candidate, ...]
     free: tuple[int, ...]
     log_bayes_factor: float
-    shares: Mapping[frozenset[Place], float]
+    shares: Mapping[frozenset[HypothesisKey], float]
     torque: tuple[float, ...]
     explained: float
     scale: float
@@ -39,13 +39,13 @@ class Hypothesis:
         return self.shares.get(frozenset(self.places), 0.0)
 
     @property
-    def places(self) -> tuple[Place, ...]:
+    def places(self) -> tuple[HypothesisKey, ...]:
         """Effects and joints."""
         return tuple(candidate.place for candidate in self.effects)
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class SelectedCauses:
     """Causes, and the evidence for them; `agent.diagnosis.verdict` names some of them, and says what verdict that is.
 
     `fit` has the causes as part of the model, `plain` has no effects. `rivals[k]` are hypotheses that these motions
@@ -59,7 +59,7 @@ class Finding:
     plain: Fit
     fit: Fit
     causes: tuple[Candidate, ...]
-    rivals: tuple[tuple[Place, ...], ...]
+    rivals: tuple[tuple[HypothesisKey, ...], ...]
     probability: tuple[float, ...]
     explained: float
     hypotheses: tuple[Hypothesis, ...]
@@ -68,14 +68,14 @@ class Finding:
     ignored: frozenset[str] = frozenset()
     leaves_gap: bool = False
     zero_known: bool = False
-    rejected: tuple[tuple[Place, str], ...] = ()
+    rejected: tuple[tuple[HypothesisKey, str], ...] = ()
 
     @property
     def scale(self) -> float:
         """Largest squared error of a joint without effects, over its noise variance."""
         return next(h for h in self.hypotheses if not h.effects and not h.free).scale
 
-    def only(self, kept: Sequence[int], leaves_gap: bool | None = None) -> Finding:
+    def only(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
         """The same finding with some of the causes, by number, and whether there is a gap without them."""
         if leaves_gap is not None:
             return replace(self, leaves_gap=leaves_gap).only(kept)
@@ -90,21 +90,21 @@ class Finding:
             probability=tuple(self.probability[k] for k in kept),
         )
 
-    def without_causes(self, leaves_gap: bool) -> Finding:
+    def without_causes(self, leaves_gap: bool) -> SelectedCauses:
         """The same finding with no cause, and whether there is a gap nevertheless."""
         return replace(self.only(()), leaves_gap=leaves_gap)
 
-    def with_rejected(self, why: Sequence[str]) -> Finding:
+    def with_rejected(self, why: Sequence[str]) -> SelectedCauses:
         """The same finding with the causes that do not explain the gap among what is rejected; `why` of every cause."""
         new = tuple((cause.place, one) for cause, one in zip(self.causes, why, strict=True) if one)
         return replace(self, rejected=(*self.rejected, *new))
 
-    def with_rival(self, number: int, place: Place) -> Finding:
+    def with_rival(self, number: int, place: HypothesisKey) -> SelectedCauses:
         """The same finding with one more hypothesis that equals a cause, by number."""
         rivals = tuple((place, *r) if k == number and place not in r else r for k, r in enumerate(self.rivals))
         return replace(self, rivals=rivals)
 
-    def with_runner_up(self, number: int = 0) -> Finding:
+    def with_runner_up(self, number: int = 0) -> SelectedCauses:
         """The same finding with the likeliest replacement of a cause in another hypothesis as its equal."""
         place = self.causes[number].place
         others = (other for h in self.hypotheses if place not in h.places for other in h.places)
