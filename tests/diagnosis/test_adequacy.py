@@ -17,11 +17,14 @@ JOINTS = ("joint_1", "joint_2")
 LONG = np.random.default_rng(0).normal(size=(4000, 5, 2))  # unit noise: model error and torques of four effects
 
 
-def judged(*parts: tuple[float, ...], error: float = 1.0, by_model: float = 0.0) -> list[str]:
-    """Reasons against causes with these torques per joint; `by_model` is what the model's own change closes."""
+def judged(
+    *parts: tuple[float, ...], error: float | np.ndarray = 1.0, by_model: float = 0.0, against: float = 0.0
+) -> list[str]:
+    """Reasons against causes with these torques per joint; `by_model` is what the model's own change closes, `against`
+    what it takes back of the first cause."""
     torque = [LONG[:, 1 + k] * np.array(sizes) for k, sizes in enumerate(parts)]
     left = error * LONG[:, 0]
-    raw = left + sum(torque) + by_model * LONG[:, 4]
+    raw = left + sum(torque) + by_model * LONG[:, 4] - against * torque[0]
     causes = [SimpleNamespace(blocks={j: None for j in range(2) if sizes[j]}) for sizes in parts]
     fit = SimpleNamespace(
         transient=False,
@@ -54,6 +57,12 @@ def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause():
     (why,) = judged((5.0, 0.0), by_model=8.0)
     assert "the model's own parameters" in why
     assert judged((8.0, 0.0), by_model=5.0) == [""]
+
+
+@given(st.floats(3, 20), st.floats(0.1, 0.8))
+def test_one_cause_alone_cancels_with_no_other(size, against):
+    """Numbers of a simulator that move trade with it: they take back a part of what it explains."""
+    assert judged((size, 0.0), against=against) == [""]
 
 
 def test_causes_that_cancel_each_other_are_no_explanation():

@@ -80,7 +80,7 @@ def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[s
     found = []
     for candidate, rows in zip(causes, taken_out, strict=True):
         joint = _main_joint(fit, gap, candidate, rows)
-        if fit.given and (gap.closure_without(rows) or 0.0) > gap.closure / LIMITS.explained:
+        if fit.given and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
             found.append("it and another cause cancel each other")
         elif sizes[joint] > 1:
             name = fit.reference.robot.joint_names[joint]
