@@ -54,7 +54,9 @@ class Watched(Faults):
 
         def noted(reason: EndReason, message: str) -> None:
             self.reasons.append(reason)
-            if self.stopped < 0 and controller.moving and not (disobeys and reason is EndReason.STOPPED):
+            # Between two moves a UR plans the next one: nothing moves for that moment, but the program runs on.
+            under_way = controller.running if isinstance(controller, UrCell) else controller.moving
+            if self.stopped < 0 and under_way and not (disobeys and reason is EndReason.STOPPED):
                 self.stopped = controller._moved if isinstance(controller, UrCell) else controller._count * PERIOD
             stop(reason, message)
 

@@ -52,6 +52,7 @@ class Controller:
     status_fails_later: bool = False
     status_hangs_later: bool = False  # until a stop is asked for
     pushes: bool = False  # all blocks at once, not one a look
+    pushes_later: bool = False  # the same once the later state was told
     spacing: int = 2_500_000  # of the samples [ns]
     celsius: tuple[float, ...] = ()  # of the motors
     moves: Callable[[np.ndarray], np.ndarray] = lambda times: at(_trajectory(), times)  # (K,) [s] to (K, n)
@@ -197,7 +198,8 @@ class Peer(threading.Thread):
                         send(tcp.Refused(Refusal.INTERNAL, 0, 0, "no"), frame.request)
                     else:
                         send(told.answer(message, state), frame.request)
-                    block()  # the guard looks at every block, so each look brings the next
+                    for _ in range(told.blocks - sent if told.pushes_later and sent >= 3 else 1):
+                        block()  # the guard looks at every block, so each look brings the next
                 else:
                     send(told.answer(message, state), frame.request)
 

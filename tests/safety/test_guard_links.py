@@ -79,7 +79,7 @@ def test_checks_the_last_sample(bench, program):
 
 def test_a_stop_for_another_reason_is_not_reported_as_slow(bench, program):
     chosen = slowly(program(), 10)
-    bench.controller = replace(bench.controller, blocks=60, pushes=True, later={"mode": "teach"})
+    bench.controller = replace(bench.controller, blocks=60, pushes_later=True, later={"mode": "teach"})
     bench.controller.moves = lambda times: at(chosen.chains[0], times / 2)
     with pytest.raises(SafetyError, match="the mode was changed"):
         bench.run(chosen)
