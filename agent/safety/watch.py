@@ -348,6 +348,8 @@ class MotionWatch:
             self._read_temperatures(now)
             self.read_settings(now)
         except DriverError as error:
+            if self.stopping.since is not None:  # the link may have been closed by now: no reason for that stop
+                return
             self._blame(
                 ControllerError(
                     f"{self._address}: the controller's state cannot be read any more while the arm moves, so it was "

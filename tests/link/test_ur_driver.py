@@ -329,6 +329,15 @@ def test_a_controller_that_skips_most_samples_is_stopped(peer, driver):
         list(samples)
 
 
+def test_a_start_that_the_motion_ends_says_why(peer, driver):
+    """Not that the program does not answer, which is a consequence."""
+    checksum = stored(driver, LONG)
+    driver.listening = lambda: setattr(peer, "every", 2)
+    peer.permits = False
+    with pytest.raises(DriverError, match="samples; the motion was stopped"):
+        driver.start("p", checksum)
+
+
 def test_a_hanging_dashboard_does_not_prevent_a_stop(peer, driver):
     driver.start("p", stored(driver, LONG))
     next(driver.samples())

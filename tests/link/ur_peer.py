@@ -27,6 +27,7 @@ class UrPeer:
     def __init__(self, faster=10.0):
         self.model, self.serial, self.version = "UR5", "20195500000", "5.12.6.1102099"
         self.remote, self.real, self.obeys = "true", False, True
+        self.permits = True  # programs go on once they are allowed to
         self.greeting = b"Connected: Universal Robots Dashboard Server\n"
         self.missing, self.in_use = (), False
         self.refusal = None  # (line, column, text) of a runtime exception for the next program
@@ -246,7 +247,7 @@ class UrPeer:
             self.end()
             return
         _, number, goals = self._program
-        if self.inputs[1] == number:
+        if self.inputs[1] == number and self.permits:
             self._let_go, state["output_int_register_25"] = True, 0
         if self._move is None:
             if not self._let_go:

@@ -183,6 +183,22 @@ def test_a_block_delivered_before_a_stop_is_delivered_again():
     assert link.warned == []
 
 
+def test_a_closed_link_is_no_fault_of_an_arm_that_was_told_to_stop():
+    """A start that fails stops the arm and closes the link: the state cannot be read then, and that is not why."""
+    link, asked = Link(), []
+
+    def status() -> Status:
+        asked.append(link.watch.stopping.since)
+        raise DriverError("the link is not open")
+
+    link.status, link.script = status, iter([link.block(5.0), link.block(6.0)])
+    link.watch.stopped = True
+    link.watch.stopping.request()
+    list(link.watch.samples())
+    assert asked
+    assert None not in asked
+
+
 def test_polling_ends_with_the_motion():
     """It could blame an arm that is no longer watched."""
     link = Link()

@@ -169,6 +169,11 @@ class SampleStream:
             f"{self.size >> 20} MiB of samples wait to be read; the motion was stopped: is the disk full?"
         )
 
+    def check(self) -> None:
+        """Raise what the motion ended with, if it has ended by a failure."""
+        if self._error is not None:
+            raise self._error
+
     def has_begun(self) -> bool:
         """Whether samples have come, or the end."""
         return self.over or self.size > 0
@@ -180,8 +185,7 @@ class SampleStream:
                 while not self._ready and not self.over:
                     self._changed.wait()
                 if not self._ready:
-                    if self._error is not None:
-                        raise self._error
+                    self.check()
                     return
                 block = self._ready[0]
             yield block

@@ -293,6 +293,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 
         seen = link.wait(lambda: runs() or over(), self._timeout)
         link.check()
+        motion.check()
         if motion.fault is not None:
             self._end_program(link)
             raise RefusedError(
@@ -316,6 +317,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 
         if not link.wait(lambda: taken() or motion.stopping or motion.over, self._timeout) or not taken():
             link.check()
+            motion.check()
             raise DriverError(
                 f"{self.address}: the program was let go and does not answer; it is being stopped ({motion.seen})"
             )
