@@ -3,7 +3,8 @@
     python benchmarks/ros2_link.py [--seconds 60] [--rates 500 1000] [--stops 5]
 
 Needs an environment with ROS 2 (`make ros`). The arm is a process of its own; a third node sees when a brake point
-comes. Ages are of samples as they are handed out, by the clock of this computer. Load on it counts, so it is printed.
+comes. Ages are of samples as they are handed out, by the clock of this computer, and contain how late the emulated arm
+published them, which it says itself. Load counts, so it is printed.
 """
 
 from __future__ import annotations
@@ -220,6 +221,7 @@ def main() -> None:
         print(reception(rate, options.seconds), flush=True)
         arm.send_signal(signal.SIGTERM)
         arm.wait()
+        print(f"  {log.read_text(encoding='utf-8').splitlines()[-1]}", flush=True)
         time.sleep(2.0)
     arm, observer = emulator(500.0, log), Observer()
     time.sleep(3.0)

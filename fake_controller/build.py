@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,6 +98,7 @@ def build_ros2_cell(
     rate: float = 500.0,
     effort: str = "torque",
     tolerance: float = 0.2,
+    clock: Callable[[], float] = time.time,
 ) -> Ros2Cell:
     """An arm with a trajectory controller of ROS 2, in real time.
 
@@ -105,6 +107,7 @@ def build_ros2_cell(
         rate: cycles a second.
         effort: what joint_states have as effort, one of `fake_controller.ros2.cell.EFFORTS`.
         tolerance: of the path, by the controller's parameters [rad]; 0 is none.
+        clock: the Unix clock of its computer.
 
     Raises:
         InputError: no such robot or model, an effect that does not fit it, or a fault that makes no sense there.
@@ -116,7 +119,7 @@ def build_ros2_cell(
         check_wire(faults, "ros2", ON_ROS2)
     except ValueError as error:
         raise InputError(str(error)) from None
-    return Ros2Cell(robot, plant, 1.0 / rate, Faults(faults), effort, tolerance)
+    return Ros2Cell(robot, plant, 1.0 / rate, Faults(faults), effort, tolerance, clock)
 
 
 def _machine(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -71,6 +72,7 @@ class Ros2Cell(FaultyController):
         self.robot, self.period, self.effort, self.tolerance = robot, period, effort, tolerance
         self.state = State()
         self.left_out = 0  # cycles
+        self.late: deque[float] = deque(maxlen=100_000)  # [s] from the stamps of samples to when they were published
         self._plant, self._clock = plant, clock
         self._astray = Astray(robot.dof, period)
         self._start = home(robot)
@@ -86,6 +88,11 @@ class Ros2Cell(FaultyController):
     @property
     def moving(self) -> bool:
         return self.controller.moving
+
+    def history(self) -> str:
+        """Also how late samples were published: whoever measures a link has to take that off."""
+        late = 1e3 * np.quantile(self.late or [0.0], 0.99)
+        return f"{super().history()}; published {late:.0f} ms late (p99), {self.left_out} cycles left out"
 
     @property
     def mute(self) -> bool:
@@ -136,8 +143,9 @@ class Ros2Cell(FaultyController):
 
     def _notice(self, count: int) -> None:
         moving = self.moving
+        self.motions_started = self.controller.started
         if moving and not self._was_moving:
-            self.motions_started, self._moved = self.motions_started + 1, 0.0
+            self._moved = 0.0
         if not moving:
             self._start = self.controller.command.copy()
             if self._was_moving:

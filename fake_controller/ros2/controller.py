@@ -75,7 +75,7 @@ class TrajectoryController:
         self.tolerances = self.defaults
         self.scaling = 1.0
         self.active = True
-        self.started = 0  # trajectories that were taken
+        self.started = 0  # motions from rest
         self.refused: list[str] = []
         self.command, self.command_velocity = position.copy(), np.zeros(count)
         self._lock = threading.RLock()
@@ -87,9 +87,12 @@ class TrajectoryController:
 
     @property
     def moving(self) -> bool:
-        """Whether a trajectory is under way."""
+        """Whether a trajectory is under way that leads anywhere: one that holds the arm is no motion."""
         with self._lock:
-            return self._new is not None or (self._trajectory is not None and self._time < self._trajectory.end)
+            there = [] if self._new is None else [self._new]
+            if self._trajectory is not None and self._time < self._trajectory.end:
+                there.append(self._trajectory.message)
+            return any(message.leads_away(self.joints, self.command) for message in there)
 
     def take(self, message: TrajectoryMessage, now: float) -> str:
         """A trajectory by topic: it replaces what runs; why it is refused, or nothing."""
@@ -98,8 +101,8 @@ class TrajectoryController:
             if refusal:
                 self.refused.append(refusal)
             else:
-                self._new = message
-                self.started += 1
+                was_moving, self._new = self.moving, message
+                self.started += self.moving and not was_moving
             return refusal
 
     def take_goal(self, goal: Goal, now: float) -> str:

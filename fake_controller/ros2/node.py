@@ -226,6 +226,7 @@ class Ros2Server:
 
     def _publish(self, cycles: RosCycles) -> None:
         for k, stamp in enumerate(cycles.stamps):
+            self.cell.late.append(self.cell.now() - stamp)
             rows = (cycles.position[k], cycles.velocity[k], cycles.effort[k])
             if not self.cell.mute:
                 order = self._order[:-1] if self.cell.one_less else self._order

@@ -26,6 +26,7 @@ _QUINTIC = np.array(
 _CUBIC = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]])
 _LINE = np.array([[1, -1], [0, 1]])
 _STILL = 1.2e-7  # rad/s: what passes for zero at the end
+_APART = 1e-3  # rad: nearer positions are the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,11 @@ class TrajectoryMessage:
     names: tuple[str, ...]
     stamp: float
     points: tuple[TrajectoryPoint, ...]
+
+    def leads_away(self, joints: Sequence[str], position: np.ndarray) -> bool:
+        """Whether a point is elsewhere than the position (n,) of these joints."""
+        column = [self.names.index(name) for name in joints]
+        return any(np.any(np.abs(point.rows[0][column] - position) > _APART) for point in self.points)
 
     def refusal(self, joints: Sequence[str], now: float) -> str:
         """Why a controller of these joints does not take it; empty where it does."""

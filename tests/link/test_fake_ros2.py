@@ -226,3 +226,15 @@ def test_a_deactivated_controller_stays_with_its_last_command():
     assert ends[0][0] == "aborted"
     assert not np.diff(bench.run(0.5)).any()
     assert "not active" in bench.controller.take(message((1.0, 1.0)), bench.now)
+
+
+def test_what_holds_the_arm_is_no_motion():
+    bench = Bench()
+    for place, started in ((0.0, 0), (0.5, 1), (0.5, 1)):
+        assert bench.controller.take(message((0.3, place, 0.0, 0.0)), bench.now) == ""
+        assert bench.controller.moving == (place != bench.position[0])
+        bench.run(0.1)
+        assert bench.controller.take(message((0.3, place, 0.0, 0.0)), bench.now) == ""  # replaces what runs
+        bench.run(0.5)
+        assert not bench.controller.moving
+        assert bench.controller.started == started

@@ -207,6 +207,26 @@ def test_a_stop_brakes_by_one_point_and_cancels_once_the_arm_rests(by_goal):
     assert not arm.velocity.any()
 
 
+@BOTH
+def test_an_arm_that_has_not_set_out_yet_does_not_rest(by_goal):
+    """The brake may be on its way while the arm still stands, and not arrive."""
+    arm = Arm(by_goal)
+    motion = arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
+    arm.deaf = True
+    motion.stopping = True
+    motion.brake()
+    arm.run(0.45)
+    assert not motion.over
+    arm = Arm(by_goal)
+    motion = arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
+    motion.stopping = True
+    motion.brake()
+    arm.run(1.5, until_over=True)
+    assert motion.over
+    assert not arm.position.any()
+    blocks_of(arm)
+
+
 def test_a_controller_that_does_not_brake_is_cancelled():
     arm = Arm(True)
     motion = arm.run_program(HEADER + goal(way=1.0, seconds=8.0))

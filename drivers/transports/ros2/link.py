@@ -26,7 +26,8 @@ from drivers.wire.ros2 import (
     SetPointReader,
 )
 
-_TURN = 0.05  # s
+_TURN = 0.004  # s: as long as a sample waits, at most, on an idle computer
+_STALL = 0.05  # s of one turn that count as silence
 _URDF = 16 * 1024 * 1024  # bytes
 #: Ages and rate are known over this time [s].
 OBSERVED = 2.0
@@ -156,15 +157,22 @@ class RosLink(LinkThread):
 
     def pace(self) -> tuple[float, float]:
         """Samples a second by the stamps of the last seconds, and the 99th percentile of their age beyond the least."""
-        first = time.monotonic()
-        self.wait(lambda: time.monotonic() - first >= OBSERVED, OBSERVED + 1.0)
+        began = time.time()
+        there = self.wait(lambda: self.received > began and self._span() >= 0.9 * OBSERVED, OBSERVED + self.watchdog)
         self.check()
         with self._changed:
             seen = np.array(self._seen)
-        if len(seen) < 3 or not np.ptp(seen[:, 0]) > 0.0:
+        if not there:
             raise DriverError(f"{self.target.name(JOINT_STATES)} has fallen silent, or its clock stands still")
         ages = seen[:, 1] - seen[:, 1].min()
         return (len(seen) - 1) / float(np.ptp(seen[:, 0])), float(np.quantile(ages, 0.99))
+
+    def _span(self) -> float:
+        return self._seen[-1][0] - self._seen[0][0] if self._seen else 0.0
+
+    def heard(self) -> bool:
+        """Whether somebody receives what is sent by topic, as a brake is: discovery takes time."""
+        return self.wait(lambda: self._commands.get_subscription_count() > 0, self._timeout)
 
     # To the controller, from any thread
 
@@ -299,7 +307,7 @@ class RosLink(LinkThread):
             with self._changed:
                 self._changed.notify_all()
             # A stall of this process is not the controller's silence.
-            waited = min(time.monotonic() - began, _TURN)
+            waited = min(time.monotonic() - began, _STALL)
             self._silence = 0.0 if self._fresh else self._silence + waited
             if self.guarded and self._silence >= self.watchdog:
                 raise self._fell_silent()

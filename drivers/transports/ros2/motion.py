@@ -34,6 +34,7 @@ UNREAD = 2.0
 CANCEL_AFTER = 0.6
 _ANSWER, _SETTLES = 2.0, 3.0  # s: of a goal's answer, and after its last point
 _SPAN, _STILL = 0.1, 0.003  # s, and rad/s over it: an arm that stands
+_LEFT = 0.003  # rad, m between a stationary arm and its trajectory
 _BLOCK = 0.01  # s of samples that are handed out at once
 _CODES = {-4: "it left its path by more than the tolerance", -5: "it did not reach the end in time"}
 
@@ -199,7 +200,7 @@ class Ros2Motion(SampleStream):
                 self._settle(sample)
             case "resting" if sample.stamp >= self._since:
                 self._go_on(sample)
-            case "braking" if sample.stamp >= self._since and self._stands():
+            case "braking" if sample.stamp >= self._since and self._stands() and self._has_left(sample):
                 self._cancel()
                 self._come_to_rest()
 
@@ -330,6 +331,13 @@ class Ros2Motion(SampleStream):
             return False
         way = np.ptp([position for _, position in self._recent], axis=0)
         return bool(np.all(way <= _STILL * _SPAN * 2))
+
+    def _has_left(self, sample: JointSample) -> bool:
+        """Whether the arm is where its trajectory would not have it: one that has not set out yet stands as well."""
+        course = self.course
+        if course is None or sample.stamp >= course.end:
+            return True
+        return not np.all(np.abs(course.at(sample.stamp)[0] - sample.position) <= _LEFT)
 
     def _cancel(self) -> None:
         if not self._cancelled:

@@ -95,6 +95,10 @@ def check_arm(link: RosLink, joints: Sequence[str], recorded: bool) -> None:
     """
     if tuple(joints) != link.joints:
         raise RefusedError(f"the program is for {', '.join(joints)}, {link.target.node} has {', '.join(link.joints)}")
+    if not link.heard():
+        raise RefusedError(
+            f"{link.target.node} does not listen to its topic joint_trajectory, by which the arm is braked; activate it"
+        )
     sample = link.latest
     assert sample is not None
     if not np.isfinite(sample.position).all():

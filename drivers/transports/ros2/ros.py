@@ -1,4 +1,8 @@
-"""rclpy in one context: nodes, raw subscriptions, parameters, cancelling; types come from the robot's distribution."""
+"""rclpy in one context: nodes, polled subscriptions, parameters, cancelling; types come from the robot's distribution.
+
+No executor reads samples: a callback for each message costs a busy computer more time than there is between two. They
+wait in the middleware and are taken all at once, turn by turn.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,6 @@ from drivers.wire.ros2 import RosAddress
 
 #: Samples that wait in the middleware: at 10 a busy process loses one in ten, at 2000 it loses nothing.
 DEPTH = 2000
-_AT_ONCE = 200  # messages that one call handles, at most
 
 
 def typed(package: str, name: str) -> Any:
@@ -53,13 +56,22 @@ class Ros:
             context=self.context, domain_id=domain, signal_handler_options=rclpy.SignalHandlerOptions.NO
         )  # or SIGTERM would end nothing
         options = {"start_parameter_services": False, "enable_rosout": False}
-        self.node = Node(name, context=self.context, use_global_arguments=False, **options)
+        self.node, self._listener = (
+            Node(one, context=self.context, use_global_arguments=False, **options) for one in (name, f"{name}_listener")
+        )
+        self._polled: list[tuple[Any, Any, Callable[[bytes], None]]] = []
         self._executor = EventsExecutor(context=self.context)
         self._executor.add_node(self.node)
 
     def spin_once(self, timeout: float) -> None:
-        """Handle what has come, or wait for it [s]."""
+        """Wait up to `timeout` [s] for answers, and handle them and all messages that have come."""
         self._executor.spin_once(timeout_sec=timeout)
+        for subscription, kind, take in self._polled.copy():
+            for _ in range(DEPTH):
+                taken = subscription.handle.take_message(kind, True)
+                if taken is None:
+                    break
+                take(taken[0])
 
     def spin_for(self, seconds: float) -> None:
         """Handle what comes for some time [s]."""
@@ -75,8 +87,8 @@ class Ros:
         best = [info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for info in infos]
         return any(best) if best else None
 
-    def raw(self, package: str, name: str, topic: str, take: Callable[[bytes], None], depth: int = DEPTH) -> Any:
-        """Subscribe to CDR bytes; best effort where somebody publishes so, else reliable.
+    def raw(self, package: str, name: str, topic: str, take: Callable[[bytes], None], depth: int = DEPTH) -> None:
+        """Subscribe to CDR bytes; best effort where somebody publishes so, else reliable. `spin_once` hands them out.
 
         Raises:
             DriverError: the type is not there.
@@ -89,19 +101,9 @@ class Ros:
                 f"the ROS 2 that is sourced here has no {package}.{name}; install {package.split('.')[0]}"
             )
         reliability = ReliabilityPolicy.BEST_EFFORT if self.best_effort(topic) else ReliabilityPolicy.RELIABLE
-
-        def drain(data: bytes) -> None:
-            """All that waits: a thread that has to get the interpreter for each message falls behind a busy one."""
-            take(data)
-            for _ in range(_AT_ONCE):
-                taken = subscription.handle.take_message(kind, True)
-                if taken is None:
-                    break
-                take(taken[0])
-
         quality = QoSProfile(depth=depth, reliability=reliability)
-        subscription = self.node.create_subscription(kind, topic, drain, quality, raw=True)
-        return subscription
+        subscription = self._listener.create_subscription(kind, topic, take, quality, raw=True)
+        self._polled.append((subscription, kind, take))
 
     def commands(self, target: RosAddress) -> Any:
         """A publisher of trajectories to the controller."""
@@ -139,7 +141,8 @@ class Ros:
 
     def close(self) -> None:
         """End the node; never raises."""
-        for end in (self._executor.shutdown, self.node.destroy_node, self.context.try_shutdown):
+        ends = (self.node.destroy_node, self._listener.destroy_node, self.context.try_shutdown)
+        for end in (self._executor.shutdown, *ends):
             try:
                 end()
             except Exception:  # what is left of it ends with the process
