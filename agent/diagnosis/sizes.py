@@ -12,38 +12,13 @@ from agent.core import plus_minus
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.model import CATALOGUE
 
-#: What a cause is called large by, in the order of preference.
-_LEADING = (
-    "mass", "rise", "coulomb_drift", "coulomb_change", "viscous_change", "coulomb_asymmetry", "viscous_asymmetry",
-    "coefficient", "bend", "level", "gap", "stiffness", "delay", "scale_error", "offset", "ratio", "tilt_1", "tilt_2",
-    "force_x", "force_y", "force_z", "shift", "m", "cosine_1", "sine_1", "constant", "hysteresis",
-)  # fmt: skip
-#: Units by name, or by what stands before the first underscore, where the effect itself does not say them.
-_UNITS = {
-    "mass": "kg", "moment": "kg·m", "inertia": "kg·m²", "rotor": "kg·m²",
-    "m": "kg", "mx": "kg·m", "my": "kg·m", "mz": "kg·m",
-    "Ixx": "kg·m²", "Ixy": "kg·m²", "Iyy": "kg·m²", "Ixz": "kg·m²", "Iyz": "kg·m²", "Izz": "kg·m²",
-    "rise": "N·m", "level": "N·m", "coulomb": "N·m", "viscous": "N·m·s/rad", "bend": "N·m",
-    "cosine": "N·m", "sine": "N·m", "constant": "N·m", "torque": "N·m", "hysteresis": "N·m",
-    "stiffness": "N·m/rad", "quadratic": "N·m/rad²", "cubic": "N·m/rad³",
-    "speed": "rad/s", "force": "N", "tilt": "rad",
-    "gap": "rad", "travel": "rad", "way": "rad", "low": "rad", "high": "rad", "middle": "rad", "reach": "rad",
-    "reversal_travel": "rad", "reversal_level": "N·m",
-    "order": "1/rad",
-    "at": "m",
-    "delay": "s", "shift": "s", "blend": "s", "start": "s", "end": "s", "duration": "s", "time": "s",
-}  # fmt: skip
-_PARTS = (("cosine_1", "sine_1"), ("force_x", "force_y", "force_z"), ("tilt_1", "tilt_2"))
 _ROUNDING = 1e-9  # of a parameter: it is the same in every fold
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 
 def unit_of(effect: str, parameter: str) -> str:
-    """Unit of an effect's parameter on a turning joint; empty where it is a ratio or a count."""
-    if effect in CATALOGUE and parameter in CATALOGUE[effect].units:
-        return CATALOGUE[effect].units[parameter]
-    stem = parameter.rstrip("0123456789") if parameter not in _UNITS else parameter
-    return _UNITS.get(stem) or _UNITS.get(stem.split("_")[0], "")
+    """Unit of an effect's parameter on a turning joint; empty where it is a ratio or a count, or the effect unknown."""
+    return CATALOGUE[effect].unit(parameter) if effect in CATALOGUE else ""
 
 
 def size_text(
@@ -64,20 +39,22 @@ def size_text(
 
 
 def amplitude(
-    parameters: Mapping[str, float], intervals: Mapping[str, tuple[float, float]]
-) -> tuple[float, tuple[float, float] | None] | None:
-    """Of a cause that is a sum of harmonics, the amplitude of the first; of a force or a tilt its size, whatever its
-    direction; with its interval where all parts have one. None of any other."""
-    names = next((names for names in _PARTS if all(name in parameters for name in names)), None)
-    if names is None:
+    cause: Mapping[str, Any], intervals: Mapping[str, tuple[float, float]]
+) -> tuple[str, float, tuple[float, float] | None] | None:
+    """Of a cause whose parameters are components of one size (harmonics, a force, a tilt): what that size is called,
+    its value, and its interval where all components have one. None of any other."""
+    parameters = cause["parameters"]
+    components = CATALOGUE[cause["effect"]].components if cause["effect"] in CATALOGUE else None
+    if components is None or not all(name in parameters for name in components[1]):
         return None
+    label, names = components
     parts = np.array([parameters[name] for name in names])
     size = float(np.linalg.norm(parts))
     if size == 0 or not all(name in intervals for name in names):
-        return size, None
+        return label, size, None
     halves = np.array([intervals[name][1] - intervals[name][0] for name in names]) / 2
     half = float(np.linalg.norm(parts * halves)) / size
-    return size, (size - half, size + half)
+    return label, size, (size - half, size + half)
 
 
 def reported_parameters(cause: Mapping[str, Any]) -> list[str]:
@@ -87,10 +64,12 @@ def reported_parameters(cause: Mapping[str, Any]) -> list[str]:
 
 
 def leading_parameter(cause: Mapping[str, Any]) -> str | None:
-    """The parameter that says how large a cause is: a usual one, or the first with a unit; None where none does."""
+    """The parameter that says how large a cause is: a leading one of its effect, or the first with a unit; None where
+    none does."""
     names = {key.rstrip("0123456789") or key: key for key in cause["parameters"]} | {k: k for k in cause["parameters"]}
     with_unit = (name for name in cause["parameters"] if unit_of(cause["effect"], name))
-    return next((names[name] for name in _LEADING if name in names), None) or next(with_unit, None)
+    leading = CATALOGUE[cause["effect"]].leading if cause["effect"] in CATALOGUE else ()
+    return next((names[name] for name in leading if name in names), None) or next(with_unit, None)
 
 
 def intervals(selected: SelectedCauses) -> list[dict[str, tuple[float, float]]]:

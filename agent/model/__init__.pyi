@@ -4,7 +4,7 @@ from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
-from .effects.payload import ball as ball
+from .effects.simulator_numbers import SimulatorNumbers as SimulatorNumbers
 from .friction_terms import (
     FORMS as FORMS,
     ODD as ODD,

@@ -169,9 +169,9 @@ def sized(result: Mapping[str, Any], number: int = 0) -> str:
     key = leading_parameter(cause)
     if key is None:
         return ""
-    label = {"cosine_1": "amplitude", "sine_1": "amplitude", "force_x": "force", "tilt_1": "tilt"}.get(key)
-    if label and (swing := amplitude(cause["parameters"], _intervals(result, number))):
-        return f"{label} {size_text(cause, key, *swing)}"
+    if (whole := amplitude(cause, _intervals(result, number))) is not None:
+        label, size, interval = whole
+        return f"{label} {size_text(cause, key, size, interval)}"
     return f"{key.rstrip('0123456789').replace('_', ' ').strip()} {parameter_text(result, number, key)}"
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,44 +16,25 @@ from agent.model import (
     IdentifiedModel,
     ModelEffect,
     Reversal,
+    SimulatorNumbers,
     across,
-    ball,
     effect_torque,
     full_parameters,
     is_body,
     possible_model,
 )
-from agent.robot import LINK_PARAMETERS, ParameterLayout, RobotDescription, rigid_bodies
+from agent.robot import ParameterLayout, RobotDescription, rigid_bodies
 from agent.simulators.urdf import move_zero
 
-_LEVELS = {"coulomb": "coulomb_change", "viscous": "viscous_change"}
 _SECONDS, _RATE = 20.0, 100.0  # of the motion that says how large a torque is
 _ROUND_OFF = 1e-6  # of the friction, from where on a difference is not that of digits
 
 
-def load_block(entry: ModelEffect) -> np.ndarray:
-    """(10,) inertial parameters of a payload effect in the last link's frame."""
-    values = entry.parameters
-    added = np.array([values[name] for name in CATALOGUE["payload"].names(values)])
-    return np.asarray(ball(values) @ added if "m0" in values else added)
-
-
-def added_body(entry: ModelEffect, n: int) -> tuple[int, np.ndarray] | None:
-    """The link, from 0, that a payload or a mismatch changes, and by how much (10,); None for other effects."""
-    values = entry.parameters
-    if entry.effect == "payload":
-        return n - 1, load_block(entry)
-    if entry.effect == "inertial_mismatch":
-        link = int(values["link"])
-        return link - 1, np.array([values[f"{name}{link}"] for name in LINK_PARAMETERS])
-    return None
-
-
-def tilted(robot: RobotDescription, values: Mapping[str, float]) -> RobotDescription:
-    """The robot with gravity that is tilted by a `base_tilt`."""
+def tilted(robot: RobotDescription, tilt: tuple[float, float]) -> RobotDescription:
+    """The robot with gravity turned by small angles [rad] about the directions across it."""
     gravity = np.array(robot.gravity)
     first, second = across(gravity)
-    turned = gravity + np.linalg.norm(gravity) * (values["tilt_1"] * first + values["tilt_2"] * second)
+    turned = gravity + np.linalg.norm(gravity) * (tilt[0] * first + tilt[1] * second)
     x, y, z = map(float, turned)
     return replace(robot, gravity=(x, y, z))
 
@@ -65,12 +46,15 @@ def with_zero(robot: RobotDescription, joint: int, offset: float) -> RobotDescri
     return replace(robot, urdf=ElementTree.tostring(root, encoding="unicode"))
 
 
-def linear_spring(stiffness: float, rest: float, values: Mapping[str, float]) -> tuple[float, float] | None:
-    """Stiffness and rest position of a joint with a linear spring added; None for another form, or one that pushes."""
-    if set(values) != {"constant", "stiffness"}:
-        return None
-    total = float(stiffness + values["stiffness"])
-    return (total, float(stiffness * rest - values["constant"]) / total) if total > 0 else None
+def with_spring(stiffness: float, rest: float, added: tuple[float, float]) -> tuple[float, float] | None:
+    """Stiffness and rest position of a joint with a spring (constant, stiffness) added; None for one that pushes."""
+    total = float(stiffness + added[1])
+    return (total, float(stiffness * rest - added[0]) / total) if total > 0 else None
+
+
+def further(entry: ModelEffect, numbers: SimulatorNumbers) -> list[ModelEffect]:
+    """The effects for what numbers do not say of an effect."""
+    return [ModelEffect(name, entry.joints, dict(values)) for name, values in numbers.beyond.items()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,60 +83,65 @@ def in_numbers(model: IdentifiedModel) -> NumbersOfModel:
     stiffness, rest = np.zeros(n), np.zeros(n)
     for entry in model.effects:
         joints = [robot.joint_names.index(name) for name in entry.joints]
-        if (body := added_body(entry, n)) is not None:
-            link, block = body
+        numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, n)
+        levels = None if numbers is None else _levels(model, joints, numbers)
+        if numbers is None or levels is None:
+            left.append(entry)
+            continue
+        if numbers.spring is not None:
+            (springs if _add_spring(stiffness, rest, joints[0], numbers.spring) else left).append(entry)
+        if numbers.body is not None:
+            link, block = numbers.body
             values[:b] += model.projection[:, layout.link(link)] @ block
             if standard is not None:
                 standard[layout.link(link)] += block
-        elif entry.effect == "friction_change" and (terms := _levels(model, joints[0], entry)) is not None:
-            for k, change in terms.items():
-                values[b + k] += change
-            left += own_reversal(entry)
-        elif entry.effect == "base_tilt":
-            robot = tilted(robot, entry.parameters)
-        elif entry.effect == "encoder_offset":
-            robot = with_zero(robot, joints[0], entry.parameters["offset"])
-        elif entry.effect == "gravity_spring" and (
-            spring := linear_spring(stiffness[joints[0]], rest[joints[0]], entry.parameters)
-        ):
-            stiffness[joints[0]], rest[joints[0]] = spring
-            springs.append(entry)
-        else:
-            left.append(entry)
+        for k, change in levels.items():
+            values[b + k] += change
+        if numbers.tilt is not None:
+            robot = tilted(robot, numbers.tilt)
+        if numbers.zero is not None:
+            robot = with_zero(robot, joints[0], numbers.zero)
+        left += further(entry, numbers)
     note = ""
     if not np.array_equal(values, model.values):
         if standard is not None and not all(map(is_body, layout.blocks(standard))):
             standard = None
         model, note = possible_model(replace(model, values=values, standard=standard))
-    if robot is not model.robot:  # other base parameters act in other gravity and at other zeros
-        standard, rigid = full_parameters(model), rigid_bodies(robot)
-        count = len(rigid.independent)
-        model = replace(
-            model,
-            robot=robot,
-            independent=rigid.independent,
-            projection=rigid.projection,
-            combinations=rigid.combinations,
-            values=np.append(rigid.projection @ standard, model.friction_values),
-            covariance=np.zeros((count + len(model.terms),) * 2),
-            standard=standard,
-        )
+    if robot is not model.robot:
+        model = _on(robot, model)
     return NumbersOfModel(replace(model, effects=tuple(left)), stiffness, rest, tuple(springs), note)
 
 
-def _levels(model: IdentifiedModel, axle: int, entry: ModelEffect) -> dict[int, float] | None:
+def _add_spring(stiffness: np.ndarray, rest: np.ndarray, joint: int, added: tuple[float, float]) -> bool:
+    """Whether a joint could take the spring."""
+    spring = with_spring(stiffness[joint], rest[joint], added)
+    if spring is not None:
+        stiffness[joint], rest[joint] = spring
+    return spring is not None
+
+
+def _on(robot: RobotDescription, model: IdentifiedModel) -> IdentifiedModel:
+    """The model on an arm with other gravity or zeros: other base parameters act there."""
+    standard, rigid = full_parameters(model), rigid_bodies(robot)
+    count = len(rigid.independent)
+    return replace(
+        model,
+        robot=robot,
+        independent=rigid.independent,
+        projection=rigid.projection,
+        combinations=rigid.combinations,
+        values=np.append(rigid.projection @ standard, model.friction_values),
+        covariance=np.zeros((count + len(model.terms),) * 2),
+        standard=standard,
+    )
+
+
+def _levels(model: IdentifiedModel, joints: Sequence[int], numbers: SimulatorNumbers) -> dict[int, float] | None:
     """Friction term → change of its level; None where the model has no term for one."""
-    terms = {term.form: k for k, term in enumerate(model.terms) if term.axle == axle}
-    changes = {form: entry.parameters[key] for form, key in _LEVELS.items() if key in entry.parameters}
-    return {terms[form]: change for form, change in changes.items()} if set(changes) <= set(terms) else None
-
-
-def own_reversal(entry: ModelEffect) -> tuple[ModelEffect, ...]:
-    """What a friction that reverses over a travel of its own has beyond its levels: a presliding, or nothing."""
-    if "reversal_travel" not in entry.parameters:
-        return ()
-    travel, level = (entry.parameters[f"reversal_{key}"] for key in ("travel", "level"))
-    return (reversal_over(entry.joints, travel, level),)
+    terms = {term.form: k for k, term in enumerate(model.terms) if term.axle in joints[:1]}
+    if not set(numbers.friction) <= set(terms):
+        return None
+    return {terms[form]: change for form, change in numbers.friction.items()}
 
 
 def reversal_over(joints: tuple[str, ...], travel: float, level: float) -> ModelEffect:

@@ -22,12 +22,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from agent.core import InputError, RejectedError
-from agent.model import IdentifiedModel, ModelEffect, seen_from
+from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, seen_from
 from agent.robot import ParameterLayout, about_centre
-from agent.simulators.effect_numbers import load_block
 from agent.simulators.flange import flange_of
 
-_EFFECT = "payload"
 _MOMENT = ("moment_x", "moment_y", "moment_z")
 _ROUND_OFF, _UNFELT = 1e-9, 1e6  # kg·m, where no torque of the arm depends on a moment
 #: m²: 2 |c| δ, by which an inertia about the centre is off where a centre at |c| = 0.5 m is rounded to δ = 1 µm.
@@ -69,14 +67,14 @@ def identified_load(model: IdentifiedModel, flange: str | None = None) -> Identi
         InputError: it has none, or the flange is not known.
         RejectedError: its mass or inertia is impossible for a body.
     """
-    entries = [entry for entry in model.effects if entry.effect == _EFFECT]
+    entries = [entry for entry in model.effects if CATALOGUE[entry.effect].numbers == "load"]
     if not entries:
         raise InputError(
             "the model has no identified load, so there is none to export: find one with agent diagnose --model MODEL "
             "LOG... -o WITH_LOAD.json, on logs with the load mounted, and export that model"
         )
     robot, frame = model.robot, flange_of(model.robot, flange)
-    block = np.sum([load_block(entry) for entry in map(_at_least_a_point, entries)], axis=0)
+    block = np.sum([_parameters(_at_least_a_point(entry), robot.dof) for entry in entries], axis=0)
     if block[0] <= 0:
         raise RejectedError(
             f"the identified load has a mass of {block[0]:.3g} kg: the arm carries less than its model, and no vendor "
@@ -109,6 +107,14 @@ def _possible_inertia(inertia: np.ndarray, mass: float) -> np.ndarray:
         )
     second = (axes * np.maximum(values, 0.0)) @ axes.T
     return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
+def _parameters(load: ModelEffect, dof: int) -> np.ndarray:
+    """(10,) inertial parameters in the last link's frame."""
+    numbers = CATALOGUE[load.effect].simulator_numbers(load.parameters, dof)
+    assert numbers is not None
+    assert numbers.body is not None
+    return numbers.body[1]
 
 
 def _at_least_a_point(entry: ModelEffect) -> ModelEffect:

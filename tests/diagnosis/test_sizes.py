@@ -73,20 +73,21 @@ def test_picks_the_leading_parameter_and_hides_minor_ones():
     assert leading_parameter({"effect": "inertial_mismatch", "parameters": {"link": 3.0, "m3": 1.0}}) == "m3"
     warms_up = {"coulomb_change": 0.0, "coulomb_drift": 0.7, "viscous_drift": 0.3}
     assert leading_parameter({"effect": "thermal_friction", "parameters": warms_up}) == "coulomb_drift"
-    assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0}}) is None
-    assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0, "travel": 0.02}}) == "travel"
+    assert leading_parameter({"effect": "other", "parameters": {"odd": 1.0, "travel": 0.02}}) is None
+    assert leading_parameter({"effect": "stribeck", "parameters": {"shape": 1.0, "speed": 0.02}}) == "speed"
     assert leading_parameter({"effect": "backlash", "parameters": {"stiffness": 2e5, "gap": 0.002}}) == "gap"
 
 
 def test_a_change_has_its_sign_and_a_sum_of_harmonics_its_amplitude():
     assert size_text({"effect": "friction_change"}, "coulomb_change", 32.4, (32.2, 32.6)) == "+32.40 ± 0.20 N·m"
     assert size_text({"effect": "joint_elasticity"}, "stiffness", 197_612.0, None) == "197600 N·m/rad"
-    spring = {"harmonics": 2.0, "cosine_1": 3.0, "sine_1": -4.0}
-    assert amplitude(spring, {}) == (5.0, None)
-    size, interval = amplitude(spring, {"cosine_1": (2.0, 4.0), "sine_1": (-5.0, -3.0)})
+    spring = {"effect": "gravity_spring", "parameters": {"harmonics": 2.0, "cosine_1": 3.0, "sine_1": -4.0}}
+    assert amplitude(spring, {}) == ("amplitude", 5.0, None)
+    _, size, interval = amplitude(spring, {"cosine_1": (2.0, 4.0), "sine_1": (-5.0, -3.0)})
     assert (size, interval) == (5.0, pytest.approx((4.0, 6.0)))
-    assert amplitude({"mass": 1.0}, {}) is None
-    assert amplitude({"force_x": 2.0, "force_y": -6.0, "force_z": 9.0}, {}) == (11.0, None)
+    assert amplitude({"effect": "payload", "parameters": {"mass": 1.0}}, {}) is None
+    push = {"effect": "contact", "parameters": {"force_x": 2.0, "force_y": -6.0, "force_z": 9.0}}
+    assert amplitude(push, {}) == ("force", 11.0, None)
 
 
 def test_the_headline_names_all_indistinguishable_causes():

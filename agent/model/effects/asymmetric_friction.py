@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
@@ -24,6 +26,8 @@ class AsymmetricFriction(Effect):
     confused_with = ("torque_offset",)
     phrase = "friction differs between the two directions"
     look_at = "one-sided bearing load, seals, preload of a screw or belt"
+    units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad"})
+    leading = ("coulomb_asymmetry", "viscous_asymmetry")
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed", "position")

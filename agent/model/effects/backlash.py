@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effects.effect import FitContext, Joints, Numbers
@@ -24,6 +26,8 @@ class Backlash(TwoMass):
     structurally_equivalent = ("joint_elasticity",)
     phrase = "the gear has play"
     look_at = "play of the gear: turn the link by hand with the motor braked"
+    units = MappingProxyType({"gap": "rad"})
+    leading = ("gap",)
     needs_reversals = 2
     shapes = ("twist",)
     experiment = SLOW_REVERSALS

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
+from agent.model.effects.simulator_numbers import SimulatorNumbers
 
 
 class BaseTilt(Effect):
@@ -22,6 +25,9 @@ class BaseTilt(Effect):
     confused_with = ("encoder_offset", "inertial_mismatch", "payload")
     phrase = "the base is tilted compared with the model"
     look_at = "the level of the base, its mounting angle in the robot description"
+    units = MappingProxyType({"tilt": "rad"})
+    leading = ("tilt_1",)
+    components = ("tilt", ("tilt_1", "tilt_2"))
     experiment = WHOLE_RANGE
     why_absent = "no gravity in the robot description"
 
@@ -40,6 +46,9 @@ class BaseTilt(Effect):
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return float(np.hypot(values["tilt_1"], values["tilt_2"])) < 0.5
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+        return SimulatorNumbers(tilt=(values["tilt_1"], values["tilt_2"]))
 
 
 def across(gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

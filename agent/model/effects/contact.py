@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -53,6 +54,9 @@ class Contact(Effect):
     confused_with = ()
     phrase = "something pushed the arm for a while"
     look_at = "what the arm touched at that time: a person, a fixture, a caught hose"
+    units = MappingProxyType({"force": "N", "at": "m", "start": "s", "end": "s", "duration": "s"})
+    leading = ("force_x",)
+    components = ("force", ("force_x", "force_y", "force_z"))
     residual_driven = True
     transient = True
 

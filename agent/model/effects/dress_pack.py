@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
+from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
 from agent.model.friction_terms import dahl
 
 N_NODES = 6
@@ -32,6 +35,14 @@ class DressPack(Effect):
     structurally_equivalent = ("gravity_spring", "torque_offset")
     phrase = "a hose or cable pulls at the joint"
     look_at = "hoses and cables at this joint: stiff, caught or too short"
+    units = MappingProxyType(
+        {
+            **dict.fromkeys(("constant", "torque", "hysteresis"), "N·m"),
+            **{"stiffness": "N·m/rad", "quadratic": "N·m/rad²", "cubic": "N·m/rad³"},
+            **dict.fromkeys(("travel", "low", "high", "middle", "reach"), "rad"),
+        }
+    )
+    leading = ("stiffness", "constant", "hysteresis")
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
@@ -78,6 +89,9 @@ class DressPack(Effect):
         reach = settings.get("reach", 0.0)
         bent = 2 * abs(values.get("quadratic", 0.0)) * reach + 3 * abs(values.get("cubic", 0.0)) * reach**2
         return abs(values.get("stiffness", 0.0)) + bent < _STIFFEST * float(reference.scale[joints[0]])
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers | None:
+        return linear_spring(values)
 
 
 def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:

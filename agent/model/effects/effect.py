@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar, Protocol
@@ -11,6 +12,7 @@ import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.experiments import THREE_LOADS, SeparatingMotion
+from agent.model.effects.simulator_numbers import SimulatorNumbers
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -83,7 +85,10 @@ class Effect(ABC):
     | `needs_travel`, `needs_speed`, `needs_reversals` | motion a joint needs to show it [rad or 0.1 m; rad/s] |
     | `fast_torque` | acts on fast torque, which may be noise of the positions |
     | `usual` | every arm has a little of it |
-    | `units`, `not_reported` | units that a name does not say; settings that no page shows |
+    | `units` | of parameters on a turning joint, by name or by what stands before its first underscore or digit |
+    | `leading` | parameters that say how large it is, in the order of preference |
+    | `components` | what the parts of one size are called together, and their names |
+    | `not_reported` | settings that no page shows |
     | `sizes` | parameters that must be positive |
     | `numbers` | numbers of a simulator's file that change under its name: friction, links or load |
     | `scales_report`, `adds_to_report` | parameters by which the reported torque is off: factor − 1, and offset |
@@ -117,6 +122,8 @@ class Effect(ABC):
     fast_torque: ClassVar[bool] = False
     usual: ClassVar[bool] = False
     units: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    leading: ClassVar[tuple[str, ...]] = ()
+    components: ClassVar[tuple[str, tuple[str, ...]] | None] = None
     not_reported: ClassVar[tuple[str, ...]] = ()
     sizes: ClassVar[tuple[str, ...]] = ()
     numbers: ClassVar[str] = ""
@@ -132,6 +139,12 @@ class Effect(ABC):
     def happens_once(self, settings: Numbers) -> bool:
         """Whether it is transient with these nonlinear parameters."""
         return self.transient
+
+    def unit(self, parameter: str) -> str:
+        """Unit of a parameter on a turning joint; empty where it is a ratio or a count."""
+        units = ChainMap(*(dict(vars(kind).get("units", {})) for kind in type(self).__mro__))
+        stem = parameter.rstrip("0123456789")
+        return next((units[name] for name in (parameter, stem, stem.split("_")[0]) if name in units), "")
 
     def places(self, robot: RobotDescription) -> list[Joints]:
         """Joints where it may act."""
@@ -185,6 +198,11 @@ class Effect(ABC):
     def reported(self, reference: NominalModel, settings: Numbers, values: Numbers) -> dict[str, float]:
         """Parameters as a result shows them."""
         return {**settings, **values}
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers | None:
+        """What its reported parameters are in the numbers of a simulator's file of an arm with `dof` joints; None where
+        numbers do not say it."""
+        return None
 
 
 def on_axle(reference: NominalModel, axle: int, *columns: np.ndarray) -> Columns:

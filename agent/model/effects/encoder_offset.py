@@ -7,6 +7,7 @@ from types import MappingProxyType
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
+from agent.model.effects.simulator_numbers import SimulatorNumbers
 
 
 class EncoderOffset(Effect):
@@ -23,6 +24,7 @@ class EncoderOffset(Effect):
     look_at = "the calibration mark of this joint; a motor, belt or encoder that was changed"
     needs_travel = 0.1
     units = MappingProxyType({"offset": "rad"})
+    leading = ("offset",)
     experiment = WHOLE_RANGE
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
@@ -31,3 +33,6 @@ class EncoderOffset(Effect):
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return abs(values["offset"]) < 0.3
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+        return SimulatorNumbers(zero=values["offset"])

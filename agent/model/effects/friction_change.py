@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, rubs
 from agent.model.effects.friction_level import FrictionLevel
+from agent.model.effects.simulator_numbers import SimulatorNumbers
 
 
 class FrictionChange(FrictionLevel):
@@ -20,6 +23,8 @@ class FrictionChange(FrictionLevel):
     confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
     phrase = "the friction level differs from the model's"
     look_at = "wear and lubrication of the gear, a dragging brake, bearing preload"
+    units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad"})
+    leading = ("coulomb_change", "viscous_change")
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
@@ -42,3 +47,7 @@ class FrictionChange(FrictionLevel):
 
     def reversing(self, context: FitContext, joints: Joints, settings: Numbers) -> list[dict[str, float]]:
         return super().reversing(context, joints, settings) if "coulomb" in settings else []
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+        levels = {form: values[f"{form}_change"] for form in ("coulomb", "viscous") if f"{form}_change" in values}
+        return SimulatorNumbers(friction=levels, beyond=self.reversal(values))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -22,6 +24,7 @@ class FrictionLevel(Effect):
     torque: z is Dahl's state over that travel, and r the `reversal_level`, the friction at which the joint turns back.
     """
 
+    units: ClassVar[Mapping[str, str]] = MappingProxyType({"reversal_travel": "rad", "reversal_level": "N·m"})
     refined: ClassVar[tuple[str, ...]] = ("reversal_travel",)
     nonlinear: ClassVar[tuple[str, ...] | None] = ("reversal_travel",)
 
@@ -36,6 +39,12 @@ class FrictionLevel(Effect):
     def level_possible(self, reference: NominalModel, axle: int, settings: Numbers, values: Numbers) -> bool:
         """Whether the level is possible, given the model's friction on this axle."""
         return True
+
+    def reversal(self, values: Numbers) -> dict[str, dict[str, float]]:
+        """The effect that a reversal over a travel of its own is beyond the levels; none where there is no such one."""
+        if "reversal_travel" not in values:
+            return {}
+        return {"presliding": {key: values[f"reversal_{key}"] for key in ("travel", "level")}}
 
     def reversing(self, context: FitContext, joints: Joints, settings: Numbers) -> list[dict[str, float]]:
         if "reversal_travel" in settings:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, harmonic_names, harmonics
 from agent.model.effects.experiments import WHOLE_RANGE
+from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
 
 _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
 
@@ -27,6 +30,9 @@ class GravitySpring(Effect):
     structurally_equivalent = ("dress_pack", "torque_offset")
     phrase = "a balancer or spring pulls differently"
     look_at = "the balancer: its spring, gas pressure and pivots"
+    units = MappingProxyType({"constant": "N·m", "stiffness": "N·m/rad", "cosine": "N·m", "sine": "N·m"})
+    leading = ("stiffness", "cosine_1")
+    components = ("amplitude", ("cosine_1", "sine_1"))
     needs_travel = 0.2
     shapes = ("position",)
     experiment = WHOLE_RANGE
@@ -50,3 +56,6 @@ class GravitySpring(Effect):
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
         swing = [value for name, value in values.items() if name != "constant"]  # about its rest position
         return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers | None:
+        return linear_spring(values)

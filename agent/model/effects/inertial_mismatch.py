@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
+from agent.model.effects.simulator_numbers import SimulatorNumbers
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 
 
@@ -23,6 +26,10 @@ class InertialMismatch(Effect):
     structurally_equivalent = ("encoder_offset", "payload", "base_tilt", "gravity_spring")
     phrase = "a link is heavier or lighter than in the model"
     look_at = "what was bolted to or taken off this link; link data of the robot description"
+    units = MappingProxyType(
+        {"m": "kg", **dict.fromkeys(LINK_PARAMETERS[1:4], "kg·m"), **dict.fromkeys(LINK_PARAMETERS[4:], "kg·m²")}
+    )
+    leading = ("m",)
     shapes = ("mass",)
     experiment = POSTURES
     numbers = "links"
@@ -42,3 +49,6 @@ class InertialMismatch(Effect):
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
         layout = ParameterLayout.of(context.reference.robot)
         return np.diag(1 / context.reference.prior_std[layout.link(int(settings["link"]) - 1)] ** 2)
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+        return SimulatorNumbers(body=(int(values["link"]) - 1, np.array([values[name] for name in self.names(values)])))

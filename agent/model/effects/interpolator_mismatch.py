@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers
 from agent.robot import RobotDescription
@@ -18,6 +20,8 @@ class InterpolatorMismatch(Effect):
     signature = "set-points away from the plan, no residual of torque"
     phrase = "the controller runs a different path than planned"
     look_at = "override, fly settings and acceleration ramps of the controller against those planned with"
+    units = MappingProxyType({"shift": "s", "blend": "s"})
+    leading = ("shift",)
     shows_in = "path"
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:

@@ -33,6 +33,7 @@ class LoadDependentFriction(FrictionLevel):
     needs_reversals = 1
     shapes = ("speed",)
     units = MappingProxyType({"load": "N·m"})
+    leading = ("coefficient",)
     not_reported = ("sheared", "driven", "links")
     nonlinear = ("power", "reversal_travel")
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
+from agent.model.effects.simulator_numbers import SimulatorNumbers
 from agent.robot import ParameterLayout
 
 _ROUNDS = 6
@@ -35,6 +38,8 @@ class Payload(Effect):
     confused_with = ("inertial_mismatch", "base_tilt")
     phrase = "the flange carries another mass than in the model"
     look_at = "what hangs on the flange or was taken off it: tool, part, mass entered in the controller"
+    units = MappingProxyType({"mass": "kg", "moment": "kg·m", "inertia": "kg·m²"})
+    leading = ("mass",)
     shapes = ("mass",)
     experiment = POSTURES
     residual_driven = True
@@ -75,6 +80,10 @@ class Payload(Effect):
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
         mass = abs(values["mass"])
         return mass > 0.01 and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
+
+    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+        added = np.array([values[name] for name in self.names(values)])
+        return SimulatorNumbers(body=(dof - 1, np.asarray(ball(values) @ added if "m0" in values else added)))
 
     def _has_inertia(self, values: Numbers) -> bool:
         """Whether a ball's own inertia, counted as its mass is, is not clearly below zero."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
 from agent.model.effects.experiments import SLOW_REVERSALS
@@ -20,6 +22,8 @@ class Presliding(Effect):
     confused_with = ("stribeck", "backlash")
     phrase = "friction builds up over a travel after each reversal"
     look_at = "gear wind-up and preloaded bearings; flexspline and seals that give way before they slide"
+    units = MappingProxyType({"travel": "rad", "level": "N·m"})
+    leading = ("level",)
     needs_reversals = 2
     shapes = ("speed",)
     experiment = SLOW_REVERSALS

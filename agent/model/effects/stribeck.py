@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
@@ -26,6 +28,8 @@ class Stribeck(FrictionLevel):
     confused_with = ("friction_change", "presliding", "viscous_nonlinearity")
     phrase = "friction rises as the joint slows down"
     look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
+    units = MappingProxyType({"rise": "N·m", "speed": "rad/s"})
+    leading = ("rise",)
     needs_speed = 0.05
     needs_reversals = 1
     shapes = ("speed",)

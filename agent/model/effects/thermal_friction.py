@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -35,6 +36,8 @@ class ThermalFriction(FrictionLevel):
     confused_with = ("friction_change", "torque_constant")
     phrase = "friction drifts as the drive warms up"
     look_at = "the temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
+    units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad", "time_constant": "s", "way": "rad"})
+    leading = ("coulomb_drift", "viscous_drift")
     needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)

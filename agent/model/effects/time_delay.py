@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -40,6 +41,8 @@ class TimeDelay(Effect):
     confused_with = ("joint_elasticity",)
     phrase = "torque and position are not recorded at the same time"
     look_at = "time stamps and filters of the torque and position channels"
+    units = MappingProxyType({"delay": "s"})
+    leading = ("delay",)
     experiment = SHARP_REVERSALS
     residual_driven = True
     refined = ("reversal",)

@@ -26,6 +26,7 @@ class TorqueConstant(Effect):
     shapes = ("speed",)
     moves_arm = False
     units = MappingProxyType({"scale_error": "%"})
+    leading = ("scale_error",)
     scales_report = "scale_error"
     numbers = "servo gain"
     of_servos = ("its servo has another gain", "the gain (P) of this servo in its firmware, and its supply voltage")

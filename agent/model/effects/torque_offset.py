@@ -29,6 +29,7 @@ class TorqueOffset(Effect):
     moves_arm = False
     of_servos = ("its set-points are shifted", "the zero of this servo's set-points against its positions")
     units = MappingProxyType({"offset": "N·m"})
+    leading = ("offset",)
     adds_to_report = "offset"
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
@@ -33,6 +35,9 @@ class TorqueRipple(Effect):
     confused_with = ()
     phrase = "the torque ripples with the angle of motor or gear"
     look_at = "motor orders: cogging, current sensor offsets; gear orders: damaged teeth, wave generator"
+    units = MappingProxyType({"order": "1/rad", "cosine": "N·m", "sine": "N·m"})
+    leading = ("cosine_1",)
+    components = ("amplitude", ("cosine_1", "sine_1"))
     why_absent = "the joint turns too little to see a period"
     refined = ("order",)
     residual_driven = True

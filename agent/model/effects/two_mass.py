@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -75,6 +76,8 @@ class TwoMass(Effect):
     """
 
     linear = ("share",)
+    units = MappingProxyType({"stiffness": "N·m/rad"})
+    leading = ("stiffness",)
     fast_torque = True
     nonlinear = ("stiffness",)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
+
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
@@ -21,6 +23,8 @@ class ViscousNonlinearity(FrictionLevel):
     confused_with = ("friction_change", "stribeck")
     phrase = "viscous friction is not proportional to speed"
     look_at = "the grease: viscosity, fill level, churning at high speed"
+    units = MappingProxyType({"bend": "N·m", "speed": "rad/s", "viscous": "N·m·s/rad"})
+    leading = ("bend",)
     needs_speed = 0.1
     needs_reversals = 1
     shapes = ("speed",)

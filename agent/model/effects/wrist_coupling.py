@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import MappingProxyType
 
 import numpy as np
 
@@ -41,6 +42,8 @@ class WristCoupling(Effect):
     confused_with = ("friction_change",)
     phrase = "one motor turns along with another axis"
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
+    units = MappingProxyType({"rotor": "kg·m²", "inertia": "kg·m²", "coulomb": "N·m", "viscous": "N·m·s/rad"})
+    leading = ("ratio",)
     needs_travel = 0.1
     needs_speed = 0.05
     refined = ("ratio",)

@@ -16,7 +16,7 @@ import numpy as np
 from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, is_body, nearby_body, nearest_bodies, seen_from
 from agent.robot import ParameterLayout
 from agent.simulators.arm import SimulatedArm, described, model_of
-from agent.simulators.effect_numbers import added_body, linear_spring, own_reversal, tilted, with_zero
+from agent.simulators.effect_numbers import further, tilted, with_spring, with_zero
 from agent.simulators.loader import Simulator
 from agent.simulators.servos import PositionServos
 from agent.simulators.urdf import set_inertial
@@ -89,26 +89,28 @@ def correct(
     for entry in effects:
         reason = reasons.get((entry.effect, entry.joints), entry.effect)
         joints = [names.index(name) for name in entry.joints]
-        values = entry.parameters
-        if (body := added_body(entry, n)) is not None:
-            link, block = body
+        numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, n)
+        spring = None if numbers is None or numbers.spring is None else _spring(arm, joints[0], numbers.spring)
+        if numbers is None or (numbers.spring is not None and spring is None):
+            left += [entry] if CATALOGUE[entry.effect].of_the_arm else []
+            continue
+        if numbers.body is not None:
+            link, block = numbers.body
             target += model.projection[:, layout.link(link)] @ block
             released.links.setdefault(link, reason)
-        elif entry.effect == "friction_change":
-            friction[joints[0]] += [values.get(f"{form}_change", 0.0) for form in _FRICTION]
+        if numbers.friction:
+            friction[joints[0]] += [numbers.friction.get(form, 0.0) for form in _FRICTION]
             released.friction.setdefault(joints[0], reason)
-            left += own_reversal(entry)
-        elif entry.effect == "base_tilt":
-            arm, released.gravity = replace(arm, robot=tilted(arm.robot, values)), reason
-        elif entry.effect == "encoder_offset":
-            arm = replace(arm, robot=with_zero(arm.robot, joints[0], values["offset"]))
-            released.offsets[joints[0]] = values["offset"]
-        elif (spring := _spring(arm, joints, values)) is not None:
+        if numbers.tilt is not None:
+            arm, released.gravity = replace(arm, robot=tilted(arm.robot, numbers.tilt)), reason
+        if numbers.zero is not None:
+            arm = replace(arm, robot=with_zero(arm.robot, joints[0], numbers.zero))
+            released.offsets[joints[0]] = numbers.zero
+        if spring is not None:
             stiffness, rest = _put(arm.stiffness, joints[0], spring[0]), _put(arm.rest, joints[0], spring[1])
             arm = replace(arm, stiffness=stiffness, rest=rest)
             released.springs[joints[0]] = reason
-        elif CATALOGUE[entry.effect].of_the_arm:
-            left.append(entry)
+        left += further(entry, numbers)
     moved = np.maximum(np.stack([given.frictionloss, given.damping], axis=1) + friction, 0.0)
     arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
     notes = []
@@ -139,11 +141,9 @@ def with_servos(
     return replace(found, arm=replace(found.arm, servos=changed))
 
 
-def _spring(arm: SimulatedArm, joints: Sequence[int], values: Mapping[str, float]) -> tuple[float, float] | None:
+def _spring(arm: SimulatedArm, joint: int, added: tuple[float, float]) -> tuple[float, float] | None:
     """Stiffness and rest position of a joint with a linear spring added; None if the file cannot hold one."""
-    if arm.is_urdf or len(joints) != 1:
-        return None
-    return linear_spring(arm.stiffness[joints[0]], arm.rest[joints[0]], values)
+    return None if arm.is_urdf else with_spring(arm.stiffness[joint], arm.rest[joint], added)
 
 
 def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
