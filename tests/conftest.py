@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
@@ -90,6 +90,25 @@ def shared_data() -> Path:
 def ns16() -> RobotDescription:
     """The built-in robot."""
     return load_robot("comau_ns16")
+
+
+@pytest.fixture(scope="session")
+def trajectory_through() -> Callable[..., object]:
+    """A function (knots (K, n), duration [s]) → Trajectory at 2 ms through the knots, from rest to rest."""
+
+    from scipy.interpolate import CubicSpline
+
+    from agent.motion import Trajectory
+
+    def build(knots: Sequence[Sequence[float]] | np.ndarray, duration: float = 5.0) -> Trajectory:
+        knots = np.asarray(knots, dtype=float)
+        t = np.arange(0.0, duration + 1e-9, 0.002)
+        spline = CubicSpline(np.linspace(0, t[-1], len(knots)), knots, bc_type="clamped")
+        q, qd, qdd = spline(t), spline(t, 1), spline(t, 2)
+        unknown = np.full(len(t), np.nan)
+        return Trajectory(t, q, qd, qdd, np.full((len(t), 4, 4), np.nan), unknown, np.zeros(len(t), dtype=int))
+
+    return build
 
 
 @pytest.fixture

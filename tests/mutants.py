@@ -26,7 +26,7 @@ _DECISION = ["tests/diagnosis/test_verdict.py", "tests/diagnosis/test_posterior.
 NARROW = {
     "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
     **{f"agent/diagnosis/hypotheses/{name}.py": _LOG_EVIDENCE for name in ("evidence", "noise_model", "pool")},
-    "agent/diagnosis/hypotheses/finding.py": _DECISION,
+    "agent/diagnosis/hypotheses/selected_causes.py": _DECISION,
     "agent/diagnosis/rows/moments.py": ["tests/diagnosis/test_fit.py"],
     "agent/diagnosis/verdict.py": _DECISION,
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],

@@ -14,6 +14,8 @@ from agent.excitation.genetic import LoopScore, infeasible
 from agent.motion import MotionError, MotionSettings, Move, Trajectory, ViaRegions, create_interpolator, loop_moves
 from agent.robot import (
     Box,
+    Cell,
+    CellReport,
     Dynamics,
     Kinematics,
     KinematicsError,
@@ -23,7 +25,6 @@ from agent.robot import (
     TorqueLimits,
     kinematics_for,
 )
-from agent.safety import Cell, CellReport
 
 #: The search evaluates the regressor at one sample in this many; limits are checked at every sample.
 EVERY = 10

@@ -15,8 +15,7 @@ from agent.safety import PlannedProgram, pauses
 
 if TYPE_CHECKING:
     from agent.motion import Interpolator, Move, Statement, Trajectory
-    from agent.robot import Tool, TorqueLimits
-    from agent.safety import CellReport
+    from agent.robot import CellReport, Tool, TorqueLimits
 
 #: Torques are checked at every tenth set-point, as in a search.
 _EVERY = 10
@@ -138,6 +137,6 @@ def check_load(limits: TorqueLimits | None, trajectory: Trajectory) -> None:
 
 @lru_cache(maxsize=4)
 def _cell(recipe: Recipe) -> Any:
-    from agent.safety import Cell
+    from agent.robot import Cell
 
     return Cell(recipe.robot, recipe.tool, recipe.cell.keep_out, recipe.cell.joint_ranges)

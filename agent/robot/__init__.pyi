@@ -1,6 +1,8 @@
 from .base_reduction import base_parameters as base_parameters
 from .bodies import RigidBodies as RigidBodies, rigid_bodies as rigid_bodies
-from .collision import KEEP_OUT as KEEP_OUT, Body as Body, CollisionModel as CollisionModel, skeleton as skeleton
+from .cell import Cell as Cell, position_ranges as position_ranges
+from .clearance import CellReport as CellReport
+from .collision import Body as Body, CollisionModel as CollisionModel
 from .description import (
     Box as Box,
     Capsule as Capsule,

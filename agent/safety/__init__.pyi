@@ -1,6 +1,4 @@
 from .authorisation import Authorisation as Authorisation, load_authorisation as load_authorisation
-from .cell import Cell as Cell, position_ranges as position_ranges
-from .clearance import CellReport as CellReport
 from .first_run import (
     FILE as FILE,
     FIRST_SPEED as FIRST_SPEED,

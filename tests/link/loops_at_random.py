@@ -20,7 +20,7 @@ from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, P
 from agent.motion.pdl2 import parse_program, write_loop_program
 from agent.motion.program import CartesianTarget, JointTarget, frame_of
 from agent.robot import Box, Tool, torque_per_ampere
-from agent.safety.cell import TOOL_RADIUS, Cell
+from agent.robot.cell import TOOL_RADIUS, Cell
 from drivers.registry import create
 from fake_controller.build import build_controller
 from fake_controller.servers import open_server

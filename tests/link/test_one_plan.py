@@ -13,8 +13,7 @@ from agent.link import RobotLink, planning
 from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, with_frames
 from agent.motion.pdl2 import write_program
 from agent.recipe import load_recipe, template
-from agent.robot import Box, TorqueLimits, kinematics_for
-from agent.safety import Cell
+from agent.robot import Box, Cell, TorqueLimits, kinematics_for
 from tests.conftest import ROOT
 
 HOME = np.radians([0.0, 15.0, -90.0, 0.0, 45.0, 0.0])

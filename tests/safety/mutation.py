@@ -29,12 +29,18 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = [
     *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/safety/test_guard*.py")),
-    *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/safety/test_cell*.py")),
+    *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/robot/test_cell*.py")),
     "tests/safety/test_laying.py",
     "tests/link/test_frames_before_motion.py",
     "tests/shop_floor/test_authorisation.py",
 ]
-MODULES = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("agent/safety/*.py") if path.name != "__init__.py")
+#: Of the robot, what keeps it clear of itself and of boxes.
+CLEARANCE = ("agent/robot/cell.py", "agent/robot/clearance.py")
+MODULES = [
+    *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("agent/safety/*.py") if path.name != "__init__.py"),
+    *CLEARANCE,
+]
+_LAYER = tuple(f"/{module}" for module in MODULES)
 #: Heavy modules are imported once, for all children; none of the layer itself.
 HEAVY = (
     "hypothesis",
@@ -273,11 +279,11 @@ class _Reached:
         self._path.write_text(json.dumps({"lines": lines, "seconds": self._seconds}), encoding="utf-8")
 
     def _call(self, frame: FrameType, event: str, argument: object) -> object:
-        return self._line if "/agent/safety/" in frame.f_code.co_filename else None
+        return self._line if frame.f_code.co_filename.endswith(_LAYER) else None
 
     def _line(self, frame: FrameType, event: str, argument: object) -> object:
-        name = frame.f_code.co_filename.partition("/agent/safety/")[2]
-        self._lines[self._test].add((f"agent/safety/{name}", frame.f_lineno))
+        module = Path(frame.f_code.co_filename).relative_to(ROOT).as_posix()
+        self._lines[self._test].add((module, frame.f_lineno))
         return self._line
 
 
@@ -354,7 +360,8 @@ def ready() -> None:
     os.chdir(ROOT)
     for name in HEAVY:
         importlib.import_module(name)
-    early = [name for name in sys.modules if name.startswith("agent.safety.")]
+    changeable = {module.removesuffix(".py").replace("/", ".") for module in MODULES}
+    early = sorted(changeable & set(sys.modules))
     if early:
         raise RuntimeError(f"imported too early to be changed: {early}")
 

@@ -10,8 +10,8 @@ import pytest
 from agent.core.errors import AgentError, InputError, SafetyError
 from agent.motion.interpolator import Trajectory
 from agent.robot import Box, load_robot
+from agent.robot.cell import Cell
 from agent.safety.authorisation import LONGEST
-from agent.safety.cell import Cell
 from agent.safety.preconditions import check_identity, check_period, check_plan, check_ready, unsafe_in_motion
 from drivers.errors import DriverError
 from drivers.protocol import Identity, Status

@@ -14,7 +14,7 @@ from agent.pages.elements import About, NextStep, Page, Section, render
 from agent.pages.plots import SERIES, Panel, Plot, Series, joint_series
 from agent.pages.scene import Scene, arm_along
 from agent.recipe import Recipe
-from agent.safety import position_ranges
+from agent.robot import position_ranges
 
 #: Only each fifth sample of a cycle is shown over time.
 _EVERY = 5

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.robot import Box, Capsule, Dynamics, Tool, load_robot
-from agent.safety import Cell, CellReport
+from agent.robot import Box, Capsule, Cell, CellReport, Dynamics, Tool, load_robot
 
 ROBOT = load_robot("comau_ns16")
 REACHING = np.radians([0.0, 20.0, -90.0, 0.0, 70.0, 0.0])

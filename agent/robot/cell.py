@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from agent.core import InputError
-from agent.motion import Trajectory
-from agent.robot import Box, Capsule, RobotDescription
-from agent.safety.clearance import CellReport, ClearanceSearch, Violation
+from agent.robot.clearance import CellReport, ClearanceSearch, Violation
+from agent.robot.description import Box, Capsule, RobotDescription
 
 if TYPE_CHECKING:
-    from agent.robot import CollisionModel, Tool
+    from agent.robot.collision import CollisionModel
+    from agent.robot.dynamics import Tool
 
 #: Radius [m] of the capsule from flange to TCP that stands for tool and payload.
 TOOL_RADIUS = 0.05
@@ -22,6 +22,17 @@ SKELETON_RADIUS = 0.05
 #: Joint positions so near to the end of a range [rad, m] are inside it.
 RANGE_SLACK = 1e-6
 _POSTURES = 64
+
+
+class TimedMotion(Protocol):
+    """Samples of a motion: times (S,) [s], positions and velocities (S, n)."""
+
+    @property
+    def t(self) -> np.ndarray: ...
+    @property
+    def q(self) -> np.ndarray: ...
+    @property
+    def qd(self) -> np.ndarray: ...
 
 
 class Cell:
@@ -55,16 +66,16 @@ class Cell:
         """Names of the pairs that are checked."""
         return tuple((pair.first, pair.second) for pair in self._model.pairs)
 
-    def check(self, motion: Trajectory | np.ndarray, margin: float = 0.0) -> CellReport:
-        """Check a motion, a trajectory or joint positions (S, n): every distance at least `margin` [m].
+    def check(self, motion: TimedMotion | np.ndarray, margin: float = 0.0) -> CellReport:
+        """Check a motion, timed or joint positions (S, n): every distance at least `margin` [m].
 
         Between two bodies of the arm that are never far apart the margin is half their widest distance at most.
         """
-        if isinstance(motion, Trajectory):
-            return self._report(motion.q, None, motion.t, margin)
-        return self._report(np.atleast_2d(np.asarray(motion, dtype=float)), None, None, margin)
+        if isinstance(motion, np.ndarray):
+            return self._report(np.atleast_2d(motion.astype(float)), None, None, margin)
+        return self._report(motion.q, None, motion.t, margin)
 
-    def check_with_stopping(self, motion: Trajectory, margin: float = 0.0) -> CellReport:
+    def check_with_stopping(self, motion: TimedMotion, margin: float = 0.0) -> CellReport:
         """Check a motion and, from each of its samples, the way to a stop.
 
         A stop takes each joint q̇ |q̇| / (2 a) farther, a its `max_acceleration`, together in a straight line in joint
@@ -73,7 +84,7 @@ class Cell:
         stop = motion.qd * np.abs(motion.qd) / (2 * self.robot.max_acceleration)
         return self._report(motion.q, stop, motion.t, margin)
 
-    def is_clear(self, motion: Trajectory, margin: float = 0.0) -> bool:
+    def is_clear(self, motion: TimedMotion, margin: float = 0.0) -> bool:
         """Whether `check` is known to find nothing, at a part of its cost; where this is False it may still."""
         beyond = np.maximum(self.lower - motion.q, motion.q - self.upper)
         if not (beyond <= RANGE_SLACK).all():
@@ -90,7 +101,7 @@ class Cell:
         Raises:
             InputError: a body of the arm is nearer than `margin` [m] to a box in every one of many postures.
         """
-        from agent.robot import KEEP_OUT
+        from agent.robot.collision import KEEP_OUT
 
         for pair, widest in zip(self._model.pairs, self._widest, strict=True):
             if pair.second.startswith(KEEP_OUT) and not widest >= margin:
@@ -137,7 +148,7 @@ class Cell:
         Left out are pairs of the arm's bodies that overlap in every posture: capsules too coarse to tell anything. A
         margin means nothing for two that no posture takes so far apart: neighbours but one, a wrist and its tool.
         """
-        from agent.robot import KEEP_OUT
+        from agent.robot.collision import KEEP_OUT
 
         if not self._model.pairs:
             return (), np.zeros(0), np.zeros(0)
@@ -175,7 +186,7 @@ def position_ranges(
 def _collision_model(
     robot: RobotDescription, tool: Tool | None, keep_out: Sequence[Box], tool_radius: float
 ) -> CollisionModel:
-    from agent.robot import KEEP_OUT, Body, CollisionModel, skeleton
+    from agent.robot.collision import KEEP_OUT, Body, CollisionModel, skeleton
 
     bodies = [Body(link, link, capsules) for link, capsules in robot.bodies.items()]
     bodies = bodies or list(skeleton(robot, SKELETON_RADIUS))

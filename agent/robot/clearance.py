@@ -17,7 +17,7 @@ import numpy as np
 from agent.core import InputError
 
 if TYPE_CHECKING:
-    from agent.robot import CollisionModel
+    from agent.robot.collision import CollisionModel
 
 #: The smallest clearance of a pair is found to this part of its distance from the margin.
 RESOLUTION = 0.25
