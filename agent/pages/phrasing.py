@@ -102,8 +102,23 @@ def headline(result: Mapping[str, Any]) -> str:
     cause = result["causes"][0]
     sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
     agrees = "" if torque_gap(result) else f" {_in_torque(result)}"
-    more = "".join(f" Also on {place(one)}: {effect_phrase(one['effect'], result)}." for one in result["causes"][1:])
+    more = "".join(
+        f" Also on {_listed([place(result['causes'][number]) for number in numbers])}: {effect_phrase(effect, result)}."
+        for effect, numbers in _further(result).items()
+    )
     return f"{_numbers_first(result)}{_opening(cause)}{sure}: {_one_of(cause, result)}.{more}{agrees}"
+
+
+def _further(result: Mapping[str, Any]) -> dict[str, list[int]]:
+    """The causes after the first, by number, those of one effect together."""
+    numbers: dict[str, list[int]] = {}
+    for number, cause in enumerate(result["causes"][1:], start=1):
+        numbers.setdefault(cause["effect"], []).append(number)
+    return numbers
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
 
 
 def _numbers_first(result: Mapping[str, Any]) -> str:
@@ -163,16 +178,18 @@ def _step_of(cause: Mapping[str, Any]) -> str:
     return " of ".join(part for part in (cause["effect"], ", ".join(cause["joints"])) if part)
 
 
-def sized(result: Mapping[str, Any], number: int = 0) -> str:
-    """How large a cause is, with its interval; empty where no one figure says it."""
+def sized(result: Mapping[str, Any], number: int = 0, label: bool = True) -> str:
+    """How large a cause is, with its interval, after what that is; empty where no one figure says it."""
     cause = result["causes"][number]
     key = leading_parameter(cause)
     if key is None:
         return ""
     if (whole := amplitude(cause, _intervals(result, number))) is not None:
-        label, size, interval = whole
-        return f"{label} {size_text(cause, key, size, interval)}"
-    return f"{key.rstrip('0123456789').replace('_', ' ').strip()} {parameter_text(result, number, key)}"
+        name, size, interval = whole
+        text = size_text(cause, key, size, interval)
+    else:
+        name, text = key.rstrip("0123456789").replace("_", " ").strip(), parameter_text(result, number, key)
+    return f"{name} {text}" if label else text
 
 
 def parameter_text(result: Mapping[str, Any], number: int, key: str) -> str:
@@ -266,16 +283,18 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
         yield capital(f"{verdict_text(result)}.")
         if result["verdict"] == "unknown" and result.get("warnings"):
             yield f"Warning: {result['warnings'][0]}."
-    for number, cause in enumerate(result["causes"]):
-        figures = ", ".join(part for part in (closes(cause, result), sized(result, number)) if part)
-        if number == 0:
-            on = f"on {place(cause)}: " if len(result["causes"]) > 1 else ""
-            yield capital(f"{on}{_one_of(cause, result)}.")
-            if figures:
-                yield f"{'The first' if cause['equivalent_to'] else 'It'} {figures}."
+    for cause in result["causes"][:1]:
+        on = f"on {place(cause)}: " if len(result["causes"]) > 1 else ""
+        yield capital(f"{on}{_one_of(cause, result)}.")
+        if figures := _figures(result, 0):
+            yield f"{'The first' if cause['equivalent_to'] else 'It'} {figures}."
+    for effect, numbers in _further(result).items():
+        if len(numbers) == 1:
+            figures, where = _figures(result, numbers[0]), [place(result["causes"][numbers[0]])]
         else:
-            which = f", which {figures}" if figures else ""
-            yield f"Also on {place(cause)}: {effect_phrase(cause['effect'], result)}{which}."
+            figures, where = "", [_place_and_size(result, number) for number in numbers]
+        which = f", which {figures}" if figures else ""
+        yield f"Also on {_listed(where)}: {effect_phrase(effect, result)}{which}."
     if result["gap"].get("of") == "position":
         yield "No torque was measured: the simulator runs under the recorded command, and its motion is judged."
     yield from remainder_sentences(result)
@@ -284,6 +303,16 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
         largest = sorted(steps, key=lambda step: -step["closes"])[:_MOST_STEPS]
         closing = ", ".join(f"{step['step']} ({100 * step['closes']:.0f} %)" for step in largest)
         yield f"Most of the gap closes with: {closing}."
+
+
+def _figures(result: Mapping[str, Any], number: int) -> str:
+    """What a cause closes, and its size."""
+    return ", ".join(part for part in (closes(result["causes"][number], result), sized(result, number)) if part)
+
+
+def _place_and_size(result: Mapping[str, Any], number: int) -> str:
+    size = sized(result, number, label=False)
+    return place(result["causes"][number]) + (f" ({size})" if size else "")
 
 
 def remainder_sentences(result: Mapping[str, Any]) -> Iterator[str]:
@@ -326,7 +355,9 @@ def measures(result: Mapping[str, Any]) -> list[NextStep]:
     """Inspections of the arm, and commands to run if no motion was planned for them."""
     causes, experiment = result["causes"], result["next_experiment"]
     steps = [NextStep(f"look at {look_at(cause, result)}.") for cause in causes[:1]]
-    steps += [NextStep(f"on {place(cause)}, look at {look_at(cause, result)}.") for cause in causes[1:]]
+    for effect, numbers in _further(result).items():
+        where = _listed([place(causes[number]) for number in numbers])
+        steps.append(NextStep(f"on {where}, look at {_words(effect, result)[1].replace('this joint', where)}."))
     if experiment is not None and not experiment.get("program"):  # a planned motion has its own command
         steps.append(NextStep(f"{'' if 'program' in experiment else 'record '}{experiment['motion']}."))
     return steps

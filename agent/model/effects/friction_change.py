@@ -23,6 +23,10 @@ class FrictionChange(FrictionLevel):
     confused_with = ("torque_constant", "thermal_friction", "load_dependent_friction")
     phrase = "the friction level differs from the model's"
     look_at = "wear and lubrication of the gear, a dragging brake, bearing preload"
+    of_servos = (
+        "friction differs from the file's",
+        "the friction of the file, which the corrected one has; then at wear and lubrication of the gear",
+    )
     units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad"})
     leading = ("coulomb_change", "viscous_change")
     needs_speed = 0.02
