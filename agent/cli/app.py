@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from agent import blind_check as blind, core, link, pipeline, recipe as recipes, runs as run_store
+from agent import blind_check as blind, core, link, pipeline, recipe as recipes, runs as run_store, simulators
 from agent.cli import completion, fleet, options as opt, shop_floor
 from agent.core import InputError
 
@@ -77,9 +77,15 @@ def plan(
     as_json: opt.AsJson = False,
     messages: opt.Messages = None,
 ) -> None:
-    """Search for a calibration motion and write its program. Moves nothing and opens no port."""
-    loaded = recipes.load_recipe(recipe)
+    """Search for a calibration motion and write its program. Moves nothing and opens no port.
+
+    Of an MJCF with position servos, a minute of set-points: tables, and a LeRobot dataset to replay.
+    """
     console = opt.console_for(messages)
+    if simulators.is_simulator(recipe):
+        opt.print_found(as_json, pipeline.plan_of_file(recipe, out or Path(f"{recipe.stem}_plan"), console))
+        return
+    loaded = recipes.load_recipe(recipe)
     chosen = scheduler is not None or workers is not None
     with opt.engine_for(scheduler, workers, console) if chosen else nullcontext() as engine:
         result = pipeline.plan_recipe(loaded, out or Path(f"{recipe.stem}_plan"), console, engine)

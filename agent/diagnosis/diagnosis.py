@@ -117,7 +117,7 @@ def build(
             Rejected(effect, tuple(dataset.robot.joint_names[j] for j in joints), why)
             for (effect, joints), why in selected.rejected
         ),
-        () if verdict.name == "no_gap" else tuple(remainders(dataset, gap)),
+        () if verdict.name == "no_gap" else tuple(remainders(dataset, gap if dataset.servos is None else found.gap)),
         tuple(power(dataset, found.search, smallest)),
         dataset.model_error,
         **({} if dataset.servos is None else servo_table(found)),

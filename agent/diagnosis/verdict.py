@@ -72,15 +72,13 @@ def decide_verdict(
 def decide_by_position(
     selected: SelectedCauses, causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None
 ) -> Verdict:
-    """Return the verdict on positions: effects and moved numbers together, and last the delay of the command.
+    """Return the verdict on positions: effects and moved numbers that have a size, what closes most first.
 
-    The delay of the command is the recorder's and the bus's, and most of any gap; what the arm has comes before it.
+    Most of the gap of a file is often its missing delay, so an effect has its size in what numbers leave.
     """
-    sized = sorted(
-        filter(has_size, (*causes, *numbers)), key=lambda cause: not cause.joints and "delay" in cause.parameters
-    )
-    if sized and (found := _explanation(sized, closure)) is not None:
-        return found
+    sized = tuple(sorted((*causes, *numbers), key=lambda cause: -(cause.closure or 0.0)))
+    if sized and closure is not None and (sized[0].equivalent_to or closure >= LIMITS.explained):
+        return Verdict("ambiguous" if sized[0].equivalent_to else "explained", sized, closure)
     return Verdict("unknown" if selected.leaves_gap or sized else "no_gap", (), closure)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
+from agent.diagnosis.gap.adequacy import remainders
 from agent.diagnosis.gap.drives_off import as_evidence, channel_zero, said_by_zero
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
@@ -21,7 +22,15 @@ from agent.diagnosis.position_logs.workflow import search_positions, without_tor
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_numbers
-from agent.diagnosis.verdict import Verdict, causes_of, decide_by_position, decide_verdict, named, supported
+from agent.diagnosis.verdict import (
+    Verdict,
+    causes_of,
+    decide_by_position,
+    decide_verdict,
+    has_size,
+    named,
+    supported,
+)
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
@@ -94,7 +103,11 @@ def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
     causes = causes_of(found.dataset, found.selected, gap)
     numbers = causes_of_numbers(found.released, found.selected, found.as_given)
     if found.dataset.servos is not None:
-        return decide_by_position(found.selected, causes, numbers, gap.closure)
+        whole = causes_of(found.dataset, found.selected, found.as_given)
+        sized = [of_all for of_all, of_rest in zip(whole, causes, strict=True) if has_size(of_rest)]
+        doubted = {remainder.joint for remainder in remainders(found.dataset, found.gap)}
+        told = [one for one in numbers if has_size(one) and doubted.isdisjoint(one.joints)]
+        return decide_by_position(found.selected, sized, told, found.as_given.closure)
     of_path = [name for name in effects_of_path() if name in found.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     verdict = decide_verdict(found.selected, causes, gap.closure, path, numbers, by_numbers)

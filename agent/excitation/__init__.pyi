@@ -3,3 +3,10 @@ from .criterion import Criterion as Criterion, one_blas_thread as one_blas_threa
 from .genetic import LoopScore as LoopScore, ranking as ranking
 from .loop_search import search as search
 from .reach import check_sub_region as check_sub_region, working_box as working_box
+from .set_points import (
+    EXCITATIONS as EXCITATIONS,
+    SetPointMotion as SetPointMotion,
+    SetPointPlan as SetPointPlan,
+    excitation as excitation,
+    plan_set_points as plan_set_points,
+)

@@ -8,6 +8,7 @@ from .gap.question import (
     budget_of as budget_of,
     planning_time as planning_time,
 )
+from .gap.set_points import plan_of_file as plan_of_file
 from .identify import (
     MAP_OR_PRESET as MAP_OR_PRESET,
     FitQuestion as FitQuestion,

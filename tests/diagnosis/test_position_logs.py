@@ -68,9 +68,11 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
     simulator, found = found_in(source, logs)
     result = found.result
     assert result["gap"]["of"] == "position"
-    first = result["causes"][0]
-    assert "torque_constant" in (first["effect"], *(other["effect"] for other in first["equivalent_to"]))
-    assert first["joints"] == ["elbow"]
+    closes = [cause["closure"] for cause in result["causes"]]
+    assert closes == sorted(closes, reverse=True)
+    gain = next(cause for cause in result["causes"] if cause["joints"])
+    assert "torque_constant" in (gain["effect"], *(other["effect"] for other in gain["equivalent_to"]))
+    assert gain["joints"] == ["elbow"]
     assert all(
         after < 0.1 * before for before, after in zip(result["gap"]["before"], result["gap"]["after"], strict=True)
     )

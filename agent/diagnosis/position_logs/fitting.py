@@ -1,9 +1,9 @@
 """Output error: the servo numbers whose free motion follows the recorded positions (Levenberg-Marquardt).
 
 Minimised is Σ (q − q(θ))² / σ² over all frames and joints, plus a wide prior about the file's numbers: each may differ
-by what would take all of its joint's torque. Every stretch starts at its first frames' position and speed: a start
-that is fitted hides where friction holds a joint. Derivatives are those of the linear response. No number goes below
-zero.
+by what would take all of its joint's torque. Every stretch starts at its first frames' position and speed, as a start
+that is fitted hides where friction holds a joint. It is judged from when the servos have settled. Derivatives are those
+of the linear response. No number goes below zero.
 """
 
 from __future__ import annotations
@@ -88,11 +88,19 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
     return np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, np.full(len(torque), _DELAY)])
 
 
-def noise_of(stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(n,) error of a simulator that is right [rad or m]: rounding, and a share of how far positions lag."""
-    step = np.max([[rounding_step(column) for column in one.position.T] for one in stretches], axis=0)
-    lag = np.concatenate([one.command.set_points_at(one.time) - one.position for one in stretches])
-    return np.sqrt(step**2 / 12 + (LIMITS.least_error * np.std(lag, axis=0)) ** 2 + 1e-16)
+def rounding_error(stretches: Sequence[CommandedStretch]) -> np.ndarray:
+    """(n,) error of positions by their rounding [rad or m]."""
+    steps = [[rounding_step(column) for column in one.position.T] for one in stretches]
+    return np.asarray(np.max(steps, axis=0) / np.sqrt(12))
+
+
+def usual_twist(motions: Sequence[FreeMotion], kp: np.ndarray) -> np.ndarray:
+    """(n,) how far the servos' torque twists them [rad or m]: a share of torque is the same share of it.
+
+    Not the lag behind the recorded command: most of that is the delay, which has no error of its own.
+    """
+    torque = np.std(np.concatenate([one.torque for one in motions]), axis=0)
+    return np.asarray(np.maximum(torque / np.maximum(kp, 1e-9), 1e-6))
 
 
 def fit_output_error(
@@ -110,14 +118,14 @@ def fit_output_error(
     Raises:
         InputError: the simulator blows up with the numbers to start from.
     """
-    sigma = noise_of(stretches)
     basis, scale = parameters.basis, parameters.scale.ravel()
     size = np.sqrt(np.maximum((basis**2 * scale[:, None] ** 2).sum(axis=0) / (basis**2).sum(axis=0), 1e-300))
-    table, n = start.table.ravel(), len(sigma)
+    table, n = start.table.ravel(), len(start.kp)
     first = _run(simulator, table, stretches)
     if first is None:
         raise InputError(f"{simulator.arm.path}: the simulator blows up under the recorded command as the file is")
     motions: list[FreeMotion] = first
+    sigma = np.hypot(rounding_error(stretches), LIMITS.least_error * usual_twist(motions, start.kp))
     x = np.linalg.lstsq(basis, table - file.table.ravel(), rcond=None)[0]
     weight, residuals = 1e-2, _left(stretches, motions)
 
@@ -160,7 +168,12 @@ def fit_output_error(
 
 
 def _left(stretches: Sequence[CommandedStretch], motions: Sequence[FreeMotion]) -> list[np.ndarray]:
-    return [one.position - motion.at(one.time) for one, motion in zip(stretches, motions, strict=True)]
+    return [missed(one, motion) for one, motion in zip(stretches, motions, strict=True)]
+
+
+def missed(stretch: CommandedStretch, motion: FreeMotion) -> np.ndarray:
+    """(S', n) what a motion misses of the judged positions."""
+    return stretch.position[stretch.judged] - motion.at(stretch.time[stretch.judged])
 
 
 def _bounded_step(

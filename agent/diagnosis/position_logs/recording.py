@@ -25,7 +25,8 @@ _MOVES = 1e-2  # rad or m that a joint travels to count as moving
 class CommandedStretch:
     """One stretch of a log without a gap: time (S,) [s] of its frames, position (S, n), the command, and its start.
 
-    `start` (2n,): position and speed at its first frame.
+    `start` (2n,): position and speed at its first frame. The first `unsettled` frames are simulated and not judged: how
+    play, bristles and rings stand when a log begins is not known.
     """
 
     log_index: int
@@ -33,6 +34,12 @@ class CommandedStretch:
     position: np.ndarray
     command: RecordedCommand
     start: np.ndarray
+    unsettled: int = 0
+
+    @property
+    def judged(self) -> slice:
+        """The frames whose positions are compared."""
+        return slice(self.unsettled, None)
 
     def run(self, simulator: FreeSimulator, numbers: ServoNumbers) -> FreeMotion | None:
         """The free motion over this stretch."""
@@ -62,8 +69,9 @@ class CommandedStretch:
             time, on["q"], on["qd"], on["qdd"], on["torque"], command, on["stuck"] > 0.5, on["limited"] > 0.5
         )
         state = (time, there.q, there.qd, there.qdd)
-        signals = MotionSignals(reference, *state, self.log_index, slice(None, None, every))
-        response = LinearResponse.along(signals, there, numbers, simulator.servos.damping, simulator.creep, every)
+        kept = slice(self.unsettled * every, None, every)
+        signals = MotionSignals(reference, *state, self.log_index, kept)
+        response = LinearResponse.along(signals, there, numbers, simulator.servos.damping, simulator.creep)
         return LinearisedMotion(self, there, signals, response)
 
 
@@ -77,7 +85,7 @@ class LinearisedMotion:
     response: LinearResponse
 
     def number_columns(self, simulator: FreeSimulator, numbers: ServoNumbers) -> np.ndarray:
-        """(S', n, 5 n) change of the positions with each number, kind by kind as in `ServoNumbers.table`."""
+        """(S', n, 5 n) change of the judged positions with each number, kind by kind as in `ServoNumbers.table`."""
         m, servos, n = self.motion, simulator.servos, self.motion.q.shape[1]
         free = ~m.limited
         edges = np.append(m.time, 2 * m.time[-1] - m.time[-2])
@@ -85,15 +93,17 @@ class LinearisedMotion:
         asked = np.clip(m.command, servos.least, servos.most)
         by_delay = numbers.kp * (early - late) / 1e-3 * free
         parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, -(asked - m.q) * free, by_delay)
-        found = np.empty((len(self.stretch.time), n, 5 * n))
+        found = np.empty((len(self.stretch.time[self.stretch.judged]), n, 5 * n))
         for j in range(n):
             block = np.column_stack([part[:, j] for part in parts])
             found[:, :, j::n] = self.response.of_torque({j: block})
         return found
 
 
-def stretches_of(logs: Sequence[Log], held: bool) -> tuple[CommandedStretch, ...]:
+def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tuple[CommandedStretch, ...]:
     """The stretches of logs in which positions and commands can be compared; short ones are left out.
+
+    The first `settling` [s] of each are not judged.
 
     Raises:
         InputError: no set-points, set-points that are the positions themselves, or of another unit, zero or arm.
@@ -109,9 +119,8 @@ def stretches_of(logs: Sequence[Log], held: bool) -> tuple[CommandedStretch, ...
             t, q = log.t[rows], log.position[rows]
             steps = np.array([rounding_step(column) for column in q.T])
             speed = np.where(np.abs(q[1] - q[0]) > 1.5 * steps, q[1] - q[0], 0.0) / (t[1] - t[0])
-            found.append(
-                CommandedStretch(index, t, q, RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed]))
-            )
+            command, begins = RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed])
+            found.append(CommandedStretch(index, t, q, command, begins, int(np.searchsorted(t, t[0] + settling))))
     if not found:
         raise InputError(
             f"{logs[0].path}: no stretch of {_FEWEST} samples has positions and set-points on the same stamps; record "
@@ -156,7 +165,7 @@ def lost_frames(stretches: Sequence[CommandedStretch], residuals: Sequence[np.nd
     count = 0
     for one, left in zip(stretches, residuals, strict=True):
         frame = float(np.median(np.diff(one.time)))
-        speed = np.gradient(one.position, one.time, axis=0)
+        speed = np.gradient(one.position, one.time, axis=0)[one.judged]
         lags = []
         for part in np.array_split(np.arange(len(left)), 3):
             energy = float(np.sum(speed[part] ** 2))

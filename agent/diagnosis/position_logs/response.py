@@ -21,7 +21,7 @@ _AT_ONCE = 256  # columns that are stepped together
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """The answer along one motion, at every `every`-th of S times (S,) [s].
+    """The answer along one motion, at the `kept` ones of S times (S,) [s].
 
     mass (S, n, n), damping (S, n), stiffness (S, n, n); `at_once` (S, n) is damping that acts within a step: of
     friction that holds a joint, or turns with its speed.
@@ -32,7 +32,7 @@ class LinearResponse:
     damping: np.ndarray
     stiffness: np.ndarray
     at_once: np.ndarray
-    every: int
+    kept: slice
 
     @classmethod
     def along(
@@ -42,7 +42,6 @@ class LinearResponse:
         numbers: ServoNumbers,
         kv: np.ndarray,
         creep: np.ndarray,
-        every: int,
     ) -> LinearResponse:
         """Along a simulated motion whose samples are those of `signals`; kv (n,) is the servos' part of the damping,
         creep (n,) [1/s] the damping over inertia of a joint that friction holds."""
@@ -57,7 +56,7 @@ class LinearResponse:
         turns = (motion.qd * (motion.qd + change) < 0) & ~motion.stuck
         turning = np.where(turns, 2 * numbers.friction / np.maximum(np.abs(change), 1e-9), 0.0)
         at_once = np.where(motion.stuck, held, np.minimum(turning, held))
-        return cls(motion.time, mass, np.where(motion.stuck, 0.0, damping), stiffness, at_once, every)
+        return cls(motion.time, mass, np.where(motion.stuck, 0.0, damping), stiffness, at_once, signals.kept)
 
     @cached_property
     def _steps(self) -> tuple[np.ndarray, np.ndarray]:
@@ -93,9 +92,10 @@ class LinearResponse:
         state = np.zeros((2 * n, columns[joints[0]].shape[1]))
         push = np.stack([(block[1:] + block[:-1]) / 2 for block in columns.values()], axis=1)
         b = np.ascontiguousarray(b[:, :, joints])
-        found = [state[:n]]
+        kept = range(len(self.time))[self.kept]
+        found = [state[:n]] if 0 in kept else []
         for k in range(len(a)):
             state = a[k] @ state + b[k] @ push[k]
-            if (k + 1) % self.every == 0:
+            if k + 1 in kept:
                 found.append(state[:n])
         return np.stack(found)

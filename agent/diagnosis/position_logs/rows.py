@@ -12,12 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.fitting import OutputErrorFit
+from agent.diagnosis.position_logs.fitting import OutputErrorFit, missed, rounding_error, usual_twist
 from agent.diagnosis.position_logs.recording import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of, segments_of
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of
-from agent.diagnosis.rows.rounding import rounding_step
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import IdentifiedModel, NominalModel
 from agent.recording import Log
@@ -90,20 +89,20 @@ def _as_given(found: OutputErrorFit) -> np.ndarray:
     parts = []
     for one in found.stretches:
         motion = one.run(found.simulator, found.simulator.numbers)
-        parts.append(one.position - (np.zeros_like(one.position) if motion is None else motion.at(one.time)))
+        parts.append(one.position[one.judged] if motion is None else missed(one, motion))
     return np.concatenate(parts)
 
 
 def _expected_error(found: OutputErrorFit) -> np.ndarray:
-    """(n,) [rad or m] what is expected of a right file: a share of the lag behind the command, or its rounding.
+    """(n,) [rad or m] what is expected of a right file: the rounding of positions, and a share of the torque.
 
     The share is that of the joint in the middle, as with torque (`explanation.with_expected_error`).
     """
-    lag = np.concatenate([one.command.set_points_at(one.time) - one.position for one in found.stretches])
-    size = np.maximum(np.std(lag, axis=0), 1e-9)
-    step = np.max([[rounding_step(column) for column in one.position.T] for one in found.stretches], axis=0)
-    share = float(np.clip(1.5 * np.median(found.rmse / size), LIMITS.least_error, LIMITS.unknown_error))
-    return np.maximum(share * size, step / np.sqrt(12))
+    rounding = rounding_error(found.stretches)
+    twist = usual_twist([line.motion for line in found.motions], found.numbers.kp)
+    left = np.sqrt(np.maximum(found.rmse**2 - rounding**2, 0.0))
+    share = float(np.clip(1.5 * np.median(left / twist), LIMITS.least_error, LIMITS.unknown_error))
+    return np.hypot(rounding, share * twist)
 
 
 def _answer(line: LinearisedMotion) -> Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]]:

@@ -26,6 +26,8 @@ from agent.simulators import FreeSimulator, Simulator
 _ROUGH, _FINE = 0.05, 1e-3  # of the cost: a fit gains less in its last round
 _INDEPENDENT = 0.1  # s between independent rows, as in `Fit`
 _CHANCE = 1.92  # of a log-likelihood: χ² of one number at 95 %, halved (Wilks)
+_SETTLED = 4.0  # time constants of a servo, after which 2 % of a start is left
+_SETTLES = 1.0  # s at most
 _REVERSALS = 2  # of a joint, below which its numbers are not told
 
 
@@ -103,9 +105,10 @@ def _fitted(
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
     file = free.numbers
+    settling = min(_SETTLED * float(np.max(file.damping / np.maximum(file.kp, 1e-9))), _SETTLES)
     fits: list[OutputErrorFit] = []
     for way in ways:
-        stretches = stretches_of(logs, way == HELD)
+        stretches = stretches_of(logs, way == HELD, settling)
         scale = usual_scale(reference, file, stretches)
         if fits:  # a held command is late by half a frame in the middle
             start = replace(fits[0].numbers, delay=fits[0].numbers.delay + 0.5 * _frame(stretches))

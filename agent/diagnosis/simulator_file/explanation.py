@@ -169,9 +169,9 @@ def search_simulator(
 def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str], None]) -> Explanation:
     """The simplest of the three explanations of the rows of a simulator that closes as much as any."""
     unit, model = dataset.fit.reference.scale, dataset.model
-    enough = LIMITS.least_share * float(np.mean(held_out_gap(dataset, dataset.fit, unit).before ** 2))
     search = partial(_search_with, model, without, progress, unit)
     as_is, drives, everything = release(dataset, kinds=()), release(dataset, links=False), release(dataset)
+    enough = LIMITS.least_share * float(np.mean(held_out_gap(as_is.moved, as_is.moved.fit, unit).before ** 2))
     found = [search(as_is)]
     if len(as_is.groups) < len(drives.groups) < len(everything.groups):
         found.append(search(drives))
@@ -201,8 +201,6 @@ def _search_with(
     moved = released.moved
     left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
-    if moved.servos is not None:  # the gap of the file as given: without its delay, noise of the encoder is most of it
-        moved = replace(moved, residual=released.given.residual)
     selected, gap = supported(moved, named(search.run()), unit)
     kept = [k for k in range(len(selected.causes)) if _possible(model, selected.fit, k)]
     if len(kept) < len(selected.causes):

@@ -2,3 +2,4 @@
 
 from agent.recording.datasets.formats import DATASET_PRESETS, dataset_logs, is_dataset, open_dataset
 from agent.recording.datasets.joints import is_gripper, joint_pairs
+from agent.recording.datasets.lerobot_writer import write_targets
