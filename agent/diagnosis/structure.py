@@ -2,7 +2,8 @@
 
 Counterbalances, springs and hoses are effects of the catalogue. An effect is added under two conditions. The diagnosis
 of the same logs, without an external reference, calls it `explained`, or `ambiguous` only with another law of the same
-joint's position. And it clearly improves the prediction of held-out motion.
+joint's position. And the model with it, all parameters fitted again, clearly predicts held-out motion better than the
+same model without it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.extension import extended_model
+from agent.diagnosis.gap.torque_gap import rms
+from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.workflow import diagnose
 from agent.model import IdentifiedModel
 from agent.recording import Log
@@ -34,19 +37,25 @@ def with_structure(
     if found.verdict != "explained" and not _by_any_name(found):
         reason = f"the diagnosis of these logs without a given model says {found.verdict}, not explained"
         return _noted(model, f"no effect of the catalogue is added: {reason}.")
-    extended = extended_model(found)
-    if not extended.effects:
+    lasting = [cause for cause in found.selected.causes if not cause.transient]
+    if not lasting:
         return _noted(model, "no effect of the catalogue is added: what was found happens once, or in the set-points.")
-    held_out = np.asarray(found.gap.after) * found.gap.unit
-    error = float(np.mean((held_out / model.held_out_rmse) ** 2))
-    names = " and ".join(f"{e.effect} on {', '.join(e.joints) or 'the whole arm'}" for e in extended.effects)
+    fit = assemble(robot, model, logs, model.cutoff, refitted=True).fit
+    forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in lasting])
+    extended = fit.with_chosen(forms)
+    before, after = (rms(one.out_of_fold()) for one in (fit, extended))
+    error = float(np.sum((after / model.held_out_rmse) ** 2) / np.sum((before / model.held_out_rmse) ** 2))
+    places = [", ".join(robot.joint_names[j] for j in form.joints) or "the whole arm" for form in forms]
+    names = " and ".join(f"{form.effect.name} on {where}" for form, where in zip(forms, places, strict=True))
     figure = f"{np.sqrt(error):.3f} of the held-out error without"
     if error > 1 - _LEAST_GAIN:
         return _noted(model, f"{names} would explain a gap, but leaves {figure}, so nothing is added.")
+    selected = replace(found.selected, fit=extended, causes=tuple(forms))
+    changed = extended_model(replace(found, dataset=replace(found.dataset, model=model), selected=selected))
     changed = replace(
-        extended,
-        held_out_rmse=held_out,
-        group_rmse=None if model.group_rmse is None else model.group_rmse * (held_out / model.held_out_rmse),
+        changed,
+        held_out_rmse=model.held_out_rmse * (after / before),
+        group_rmse=None if model.group_rmse is None else model.group_rmse * (after / before),
     )
     return _noted(
         changed,

@@ -1,5 +1,7 @@
 """`estimate --structure auto`: what an arm has beyond bodies and friction becomes part of its model."""
 
+from dataclasses import replace
+
 import numpy as np
 from typer.testing import CliRunner
 
@@ -37,6 +39,16 @@ def test_a_spring_becomes_part_of_the_model(tmp_path):
         for m in (rigid, IdentifiedModel.load(tmp_path / "model.json"))
     ]
     assert errors[1] < 0.5 * errors[0]
+    assert model.held_out_rmse[1] < 0.5 * rigid.held_out_rmse[1]
+
+
+def test_an_effect_that_the_model_has_already_is_not_added_again():
+    """The diagnosis fits no offset of its own, so that it can name one; the model has it."""
+    logs = [replace(log, effort=log.effort + [0.0, 8.0]) for log in (_recorded(seed, 0.0) for seed in (1, 2))]
+    rigid = estimate(ROBOT, logs, EstimationSettings.create(cutoff=10, method="weighted"))
+    assert "offset" in {term.form for term in rigid.terms}
+    model = with_structure(ROBOT, logs, rigid, lambda text: None)
+    assert (model.effects, model.values.tolist()) == ((), rigid.values.tolist())
 
 
 def test_an_arm_without_structure_keeps_its_model():
