@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.estimation.normal_equations import Moments, observed_standstill_speed
-from agent.estimation.observation import Observation
+from agent.estimation.observation import SELDOM, SLIDES, Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import paper_terms
@@ -21,7 +21,6 @@ from agent.recording import Log, machines_of
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
 _TOO_FAST = 2.0  # times a joint's highest speed by the robot description
-_SLIDES, _BACK = 0.05, 0.02  # of its highest speed a joint slides; of its sliding, less than that is not both ways
 _NAMED = 8  # parameters of directions that are not in the data
 _RESTING = 1e-4  # s, in which a joint at its highest speed moves as far as one that rests may
 
@@ -54,7 +53,7 @@ def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[L
         prior=parameter_prior(problem, found),
         provenance={**_provenance(observation, logs), "link_prior": problem.links, "range": fitted_range(observation)},
     )
-    return replace(model, notes=tuple(_notes(model, problem, found, times, len(logs))))
+    return replace(model, notes=tuple(_notes(model, problem, found, times)))
 
 
 def _group_rmse(moments: Moments, found: Estimate) -> np.ndarray:
@@ -74,8 +73,9 @@ def condition_number(total: np.ndarray) -> float:
     return float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-14 * values[-1] else float("inf")
 
 
-def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.ndarray, logs: int) -> Iterator[str]:
-    kind = "whole motions" if logs > 2 else "segments of the motion, all cycles together, with a guard between them"
+def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.ndarray) -> Iterator[str]:
+    segments = "segments of the motion, all cycles together, with a guard between them"
+    kind = "whole motions" if problem.partition.whole_motions else segments
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
     if found.note:
         yield found.note
@@ -163,9 +163,9 @@ def _doubts(observation: Observation) -> Iterator[str]:
             "their positions were not recorded."
         )
     qd = np.concatenate([segment.motion.qd[segment.motion.kept] for segment in observation.segments])
-    least = _SLIDES * np.abs(qd).max(axis=0)
+    least = SLIDES * np.abs(qd).max(axis=0)
     forth, back = np.sum(qd > least, axis=0), np.sum(qd < -least, axis=0)
-    one_way = np.minimum(forth, back) < _BACK * (forth + back)
+    one_way = np.minimum(forth, back) < SELDOM * (forth + back)
     for k in np.flatnonzero(one_way & (travelled > _RESTING * robot.max_velocity)):
         yield (
             f"{robot.joint_names[k]} goes one way only: its friction and an offset of its torque are the same there; "

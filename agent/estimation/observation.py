@@ -7,7 +7,8 @@ A partition says which rows are held out together: clusters for resampling, fold
 
 Samples near in time are not independent, and cycles of one motion are copies of each other. So rows are cut by
 where they are in a motion, all its cycles together: leaving such a segment out tells how a model does where it has not
-been, which leaving a cycle out does not. With three motions or more the folds are whole motions.
+been, which leaving a cycle out does not. With three motions or more the folds are whole motions, unless a joint slides
+in one of them only: without it, the others say nothing of that joint's friction and gravity.
 """
 
 from __future__ import annotations
@@ -168,9 +169,11 @@ def check_log(robot: RobotDescription, log: Log) -> None:
         raise InputError(f"{log.path}: the torque is zero throughout; is its channel recorded, is its map right?")
 
 
+SLIDES, SELDOM = 0.05, 0.02  #: of its highest speed a joint slides; of its sliding, less than that is none
 _CLUSTERS = 40  # enough to see the scatter of a fit, long enough to be independent
 _SHORTEST = 6.0  # of a cluster, in periods of the cut-off
 _GUARD = 2.0  # likewise
+_FOLDS = 6  # at most
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +198,11 @@ class Partition:
         """Number of clusters."""
         return int(self.cluster.max()) + 1
 
+    @property
+    def whole_motions(self) -> bool:
+        """Whether folds are whole motions, as opposed to segments of them."""
+        return bool(np.all(self.guards < 0))
+
     def training(self, fold: int) -> np.ndarray:
         """(cells,) bool: what may be fitted on when `fold` is held out."""
         return (self.fold != fold) & (self.guards != fold)
@@ -203,7 +211,7 @@ class Partition:
 def partition(segments: Sequence[Segment]) -> Partition:
     """Cut filtered segments into cells."""
     logs = sorted({segment.log_index for segment in segments})
-    parts = {1: 5, 2: 3}.get(len(logs), 1)
+    parts = {1: 5, 2: 3}.get(len(logs), 1 if _slides_in_several(segments) else 3)
     spans = {index: _span([s for s in segments if s.log_index == index]) for index in logs}
     total = sum(length for _, length, _ in spans.values())
     period_of_cutoff = 1 / segments[0].motion.cutoff
@@ -223,7 +231,7 @@ def partition(segments: Sequence[Segment]) -> Partition:
         phase = np.clip((since if cycle is None else since % cycle) / length, 0, 1 - 1e-9) * parts
         part = phase.astype(int)
         place = logs.index(segment.log_index)
-        fold = place * parts + part if parts > 1 else np.full(len(phase), place % 6)
+        fold = (place * parts) % _FOLDS + part
         width = _GUARD * period_of_cutoff / length * parts
         guards = np.full(len(phase), -1)
         after, before = (phase - part < width) & (part > 0), (phase - part > 1 - width) & (part < parts - 1)
@@ -233,6 +241,15 @@ def partition(segments: Sequence[Segment]) -> Partition:
     cells, labels = np.unique(np.concatenate(rows), axis=0, return_inverse=True)
     cuts = np.cumsum([len(row) for row in rows])[:-1]
     return Partition(tuple(np.split(labels.ravel(), cuts)), cells[:, 0], cells[:, 1], cells[:, 2])
+
+
+def _slides_in_several(segments: Sequence[Segment]) -> bool:
+    """Whether no joint slides in one log only."""
+    least = SLIDES * np.max([np.abs(segment.speed).max(axis=0) for segment in segments], axis=0)
+    rows = np.zeros((1 + max(segment.log_index for segment in segments), len(least)))
+    for segment in segments:
+        rows[segment.log_index] += np.sum(np.abs(segment.speed) > least, axis=0)
+    return bool(np.all(rows.sum(axis=0) - rows.max(axis=0) >= SELDOM * rows.sum(axis=0)))
 
 
 def _span(segments: Sequence[Segment]) -> tuple[float, float, float | None]:

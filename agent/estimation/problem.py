@@ -88,9 +88,13 @@ class Problem:
         return autocorrelation_time(self.residuals(parameters))
 
     def weights(self) -> np.ndarray:
-        """(2, n) weights from the residuals that the weights before leave, starting from equal ones."""
+        """(2, n) weights from the residuals that the weights before leave, starting from equal ones of sliding joints.
+
+        A start with standstill in it may stay at weights of which neither sliding nor stationary joints fit well.
+        """
         variance = self.moments.torque_energy().sum() / self.moments.rows.sum()
-        weights = np.full((2, len(self.moments.index)), 1 / max(variance, 1e-30))
+        weights = np.zeros((2, len(self.moments.index)))
+        weights[0] = 1 / max(variance, 1e-30)
         for _ in range(_ROUNDS):
             weights = reweight(self.moments, self.solve(weights))
         return weights

@@ -79,10 +79,11 @@ def cells(*segments):
     return [(cut.cluster[label], cut.fold[label], cut.guards[label]) for label in cut.labels]
 
 
-def stretch(first, last, log=0, cycles=()):
-    """Ten rows a second, and both ends; the period of the cut-off is 0.1 s."""
+def stretch(first, last, log=0, cycles=(), speeds=(1.0, 1.0)):
+    """Ten rows a second, and both ends; the period of the cut-off is 0.1 s. Joints slide at constant speeds."""
     time = np.concatenate([[first], np.arange(first + 0.05, last, 0.1), [last]])
-    return SimpleNamespace(log_index=log, time=time, motion=SimpleNamespace(cutoff=10.0, cycle_starts=cycles))
+    motion, speed = SimpleNamespace(cutoff=10.0, cycle_starts=cycles), np.tile(speeds, (len(time), 1))
+    return SimpleNamespace(log_index=log, time=time, motion=motion, speed=speed)
 
 
 @pytest.mark.parametrize(("seconds", "clusters"), [(60.0, 40), (15.0, 25), (7.0, 10), (2.0, 5)])
@@ -121,6 +122,15 @@ def test_two_logs_are_cut_in_three_parts_each_and_more_are_folds_of_their_own():
     assert [np.unique(fold).tolist() for _, fold, _ in many] == [[0], [1], [2], [3], [4], [5], [0], [1]]
     assert [np.unique(cluster).tolist() for cluster, *_ in many[:2]] == [[*range(5)], [*range(5, 10)]]
     assert {guard for *_, guards in many for guard in guards} == {-1}
+
+
+def test_a_log_with_all_that_a_joint_slides_is_not_held_out_as_a_whole():
+    alone = [(1.0, 0.01), (1.0, 0.0), (0.0, 1.0)]
+    cut = cells(*(stretch(0.0, 30.0, log, speeds=speeds) for log, speeds in enumerate(alone)))
+    assert [np.unique(fold).tolist() for _, fold, _ in cut] == [[0, 1, 2], [3, 4, 5], [0, 1, 2]]
+    assert not partition([stretch(0.0, 30.0, log, speeds=speeds) for log, speeds in enumerate(alone)]).whole_motions
+    shared = [stretch(0.0, 30.0, log, speeds=speeds) for log, speeds in enumerate([*alone, (0.0, -0.3)])]
+    assert partition(shared).whole_motions
 
 
 @pytest.mark.parametrize(
