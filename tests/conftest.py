@@ -234,11 +234,16 @@ def free_port() -> int:
     raise OSError("no free port between 20000 and 30000")
 
 
+def mosquitto() -> str | None:
+    """The MQTT broker's program, if there is one."""
+    return shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
+
+
 class Broker:
     """mosquitto on loopback until it is closed or killed; `address` is its host and port."""
 
     def __init__(self) -> None:
-        program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
+        program = mosquitto()
         if program is None:
             pytest.skip("needs an MQTT broker: apt-get install mosquitto")
         self.address = ("127.0.0.1", free_port())

@@ -2,7 +2,8 @@
 
 For each seed an emulator of its own starts as a process, and `agent record` runs a program of a few seconds on it that
 is drawn from the seed: a loop of via-points, or joint moves with stops and rests. Every fourth emulator has the second
-interpolator, and runs loops alone (docs/security.md: stopped without need). One JSON line a motion tells how it ended.
+interpolator where its wire knows one, and runs loops alone (docs/security.md: stopped without need). One JSON line a
+motion tells how it ended.
 """
 
 import contextlib
@@ -10,89 +11,122 @@ import io
 import json
 import sys
 import tempfile
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from agent.cli import main as agent
 from agent.core.errors import InputError
-from agent.excitation import Candidates, LoopProblem
-from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, ViaRegions
-from agent.motion.pdl2 import write_program
-from agent.motion.program import NO_FRAME, Delay, JointTarget, Move, MoveType, Statement
-from agent.robot import load_robot
-from tests.conftest import Broker, Emulator
+from agent.excitation import Candidates
+from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement, with_frames
+from agent.pipeline.plan import loop_problem
+from agent.recipe import Recipe, load_recipe
+from tests.conftest import Broker, Emulator, free_loopback
 
-ROBOT = load_robot("comau_ns16")
-START = np.radians([0.0, 0.0, -90.0, 0.0, 60.0, 0.0])
 RECIPE = """
-robot: comau_ns16
+robot: {robot}
 controller: {{driver: {driver}, address: "{address}"}}
 motion:
   speed: {speed} m/s
-  fly: {{type: FLY_CART, trajectory: FLY_TOL, distance: {distance} m}}
+  fly: {fly}
   via_points:
     count: 3
     box:
-      {{centre: [1.0 m, 0 m, 0.8 m], size: [0.3 m, 0.3 m, 0.3 m], orientation: [0 deg, 180 deg, 0 deg], cone: 20 deg}}
+      {{centre: {centre}, size: {size}, orientation: [0 deg, 180 deg, 0 deg], cone: 20 deg}}
 record: {{rate: 500 Hz, cycles: 1}}
 """
 
 
-def has_second_interpolator(seed: int) -> bool:
+@dataclass(frozen=True)
+class Arm:
+    """A robot, where it works, and the range of its speeds [m/s] and of its blends [m]."""
+
+    robot: str
+    fly: str
+    centre: str
+    size: str
+    start: tuple[float, ...]
+    speeds: tuple[float, float]
+    blends: tuple[float, ...]
+
+
+COMAU = Arm(
+    "comau_ns16",
+    "{{type: FLY_CART, trajectory: FLY_TOL, distance: {} m}}",
+    "[1.0 m, 0 m, 0.8 m]",
+    "[0.3 m, 0.3 m, 0.3 m]",
+    (0.0, 0.0, -90.0, 0.0, 60.0, 0.0),
+    (0.2, 1.2),
+    (0.005, 0.02, 0.05),
+)
+UR = Arm(
+    "ur5e",
+    "{{distance: {} m}}",
+    "[0.45 m, 0 m, 0.35 m]",
+    "[0.4 m, 0.8 m, 0.4 m]",
+    (0.0, -90.0, -90.0, -90.0, 90.0, 0.0),
+    (0.1, 0.2),
+    (0.03, 0.05),
+)
+
+
+def has_second_interpolator(wire: str, seed: int) -> bool:
     """Whether the emulator of a seed plans by a law of another family."""
-    return seed % 4 == 3
+    return seed % 4 == 3 and wire != "ur"
 
 
-def drawn(seed: int) -> tuple[str, list[Statement], Pdl2Settings]:
-    """What kind of program, its statements, and the settings of its recipe."""
-    rng = np.random.default_rng(seed)
-    settings = Pdl2Settings(
-        fly_type=FlyType.FLY_CART,
-        fly_trajectory=FlyTrajectory.FLY_TOL,
-        fly_distance=float(rng.choice([0.005, 0.02, 0.05])),
-        linear_speed=round(float(rng.uniform(0.2, 1.2)), 3),
-        base=NO_FRAME,
-        tool=NO_FRAME,
-        uframe=NO_FRAME,
+def drawn_recipe(wire: str, seed: int, address: str) -> str:
+    """The recipe of a seed."""
+    rng, arm = np.random.default_rng(seed), UR if wire == "ur" else COMAU
+    fly = arm.fly.format(float(rng.choice(arm.blends)))
+    speed = round(float(rng.uniform(*arm.speeds)), 3)
+    return RECIPE.format(
+        robot=arm.robot, driver=wire, address=address, speed=speed, fly=fly, centre=arm.centre, size=arm.size
     )
-    if rng.uniform() < 0.3 and not has_second_interpolator(seed):
+
+
+def drawn(wire: str, seed: int, recipe: Recipe) -> tuple[str, list[Statement]]:
+    """What kind of program of this recipe a seed gives, and its statements."""
+    rng = np.random.default_rng([seed, 1])
+    settings = with_frames(recipe.motion.settings_at(recipe.motion.speed), recipe.tool)
+    start = np.radians((UR if wire == "ur" else COMAU).start)
+    if rng.uniform() < 0.3 and not has_second_interpolator(wire, seed):
         moves: list[Statement] = []
         for _ in range(int(rng.integers(2, 5))):
-            target = JointTarget(START + np.radians(rng.uniform(-12, 12, 6)))
+            target = JointTarget(start + np.radians(rng.uniform(-12, 12, 6)))
             slower = settings.changed(speed_override=round(float(rng.uniform(0.3, 1.0)), 2))
-            moves.append(Move(MoveType.JOINT, target, slower, fly=bool(rng.uniform() < 0.5)))
-        return "joints", [*moves, Delay(0.2), Move(MoveType.JOINT, JointTarget(START), settings)], settings
-    regions = ViaRegions.from_box(
-        3, np.array([1.0, 0.0, 0.8]), np.full(3, 0.3), np.radians([0, 180, 0]), np.radians(20)
-    )
-    candidates = Candidates(LoopProblem(ROBOT, regions, settings))
+            moves.append(Move(MoveType.JOINT, target, slower, fly=bool(rng.uniform() < 0.5) and wire != "ur"))
+        return "joints", [*moves, Delay(0.2), Move(MoveType.JOINT, JointTarget(start), settings)]
+    candidates = Candidates(replace(loop_problem(recipe, recipe.motion.speed), settings=settings))
     while True:
         try:
             loop = candidates.loop(rng.uniform(size=candidates.problem.genes))
         except InputError:
             continue
-        return "loop", [Move(MoveType.JOINT, JointTarget(loop.start), settings), *loop.moves], settings
+        return "loop", [Move(MoveType.JOINT, JointTarget(loop.start), settings), *loop.moves]
 
 
 def run(wire: str, seed: int, folder: Path, broker: Broker | None) -> dict[str, object]:
     """One motion: how `agent record` ended, and what it said last."""
-    kind, statements, settings = drawn(seed)
-    interpolator = "second" if has_second_interpolator(seed) else "ours"
+    interpolator = "second" if has_second_interpolator(wire, seed) else "ours"
     options = ["--clock", "real", "--watchdog", "0.05", "--seed", str(seed), "--driver", wire]
     if broker is not None:
         options += ["--broker", ":".join(map(str, broker.address))]
+    if wire == "ur":
+        options += ["--robot", UR.robot, "--address", free_loopback()]
     emulator = Emulator(*options, "--interpolator", interpolator)
     try:
-        recipe, program = folder / f"{seed}.yaml", folder / f"{seed}.pdl"
-        speed, distance = settings.linear_speed, settings.fly_distance
-        text = RECIPE.format(driver=wire, address=emulator.address, speed=speed, distance=distance)
-        recipe.write_text(text, encoding="utf-8")
-        program.write_text(write_program("healthy", statements, ROBOT), encoding="utf-8")
+        path = folder / f"{seed}.yaml"
+        path.write_text(drawn_recipe(wire, seed, emulator.address), encoding="utf-8")
+        recipe = load_recipe(path)
+        kind, statements = drawn(wire, seed, recipe)
+        program = folder / f"{seed}{recipe.dialect.suffix}"
+        program.write_text(recipe.dialect.write("healthy", statements, recipe.robot), encoding="utf-8")
         log = folder / f"{seed}.mcap"
         said, code = io.StringIO(), 0
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-            sys.argv = ["agent", "record", str(recipe), "--program", str(program), "-o", str(log), "--yes"]
+            sys.argv = ["agent", "record", str(path), "--program", str(program), "-o", str(log), "--yes"]
             try:
                 agent()
             except SystemExit as end:

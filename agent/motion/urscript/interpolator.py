@@ -127,12 +127,21 @@ def _limits(segments: Sequence[Segment], joints: int) -> ArmLimits:
     return ArmLimits(np.full(joints, speed), np.full(joints, acceleration), np.full(joints, np.inf), tool)
 
 
+def _apart(segment: Segment) -> float:
+    """Distance [m] between the ends of a move: rotation keeps no blends apart."""
+    if isinstance(segment, JointSegment):
+        start, end = segment.kinematics.forward(np.stack([segment.start, segment.end]))[:, :3, 3]
+    else:
+        start, end = segment.curve.position(np.array([0.0, 1.0]))
+    return float(np.linalg.norm(end - start))
+
+
 def _overlaps(segments: Sequence[Segment]) -> Iterator[MotionError]:
     """Moves that a controller would skip, as the blends at their ends overlap."""
     before = 0.0
     for segment, last in zip(segments, [*[False] * (len(segments) - 1), True], strict=True):
         radius = 0.0 if last else segment.settings.fly_distance
-        length = segment.extent
+        length = _apart(segment)
         if before + radius > 0.0 and before + radius + BLEND_MARGIN > length:
             message = (
                 f"{segment.label}: the blends at its ends take {1e3 * (before + radius):.1f} mm of its "
