@@ -25,6 +25,7 @@ from agent.data_quality.description_fit import (
     excessive_weight,
     position_units,
 )
+from agent.data_quality.description_units import description_units
 from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.mechanics import implausible_mechanics, wrong_lengths
 from agent.recording import Log
@@ -34,6 +35,7 @@ from agent.robot import RobotDescription
 CHECKS: tuple[tuple[Callable[[Recordings], Iterator[QualityFinding]], ...], ...] = (
     (discontinuous_positions,),
     (static_postures,),
+    (description_units,),
     (dead_channels, position_units, excessive_torque, unsigned_channels),
     (velocity_mismatch,),
     (late_velocity,),

@@ -22,7 +22,7 @@ _TOO_FAR = {"degrees": 5.0, "mm": 100.0}  # times the joint's range: a tenth of 
 _TOO_FAST = {"degrees": 10.0, "mm": 100.0}  # times its highest speed
 _LEAST = {"degrees": np.pi, "mm": 0.0}  # rad or m that some joint comes to, at least
 _TOO_STRONG = 100.0  # times what the description says of the drive or of gravity, from where on only N·mm is likely
-_HEAVIEST = 1000.0  # kg for each square metre of reach: of 13 arms, real and simulated, the heaviest has 510
+HEAVIEST = 1000.0  #: kg for each square metre of reach: of 13 arms, real and simulated, the heaviest has 510
 _REFUTED = 0.9  # of the gravity torque, root mean square, that the description leaves at least, and
 _FITS = 0.5  # at most, with one thing undone
 _SEEN = 0.2  # of a torque, and of the heaviest joint's described gravity, that gravity must make up to be judged, or
@@ -31,7 +31,7 @@ _SCALES = (0.25, 4.0)  # times the described gravity torque: beyond them another
 _ALIKE = 0.8  # of what friction and inertia leave of a torque, that described gravity of any size explains
 _ABSENT, _VISIBLE = 0.1, 3.0  # times described gravity and share that it explains, times what is left: it is absent
 _UNIT = 1.35  # times, on average, that torques in a part of nominal torque differ from what that makes of them
-_LIGHTEST = 1.0  # kg for each square metre of reach: a description of less holds placeholders
+LIGHTEST = 1.0  #: kg for each square metre of reach: a description of less holds placeholders
 MEND_GRAVITY = (
     "set `gravity` in robot.yaml to this, or turn the base of the URDF by a fixed joint to a new root link "
     "(it follows from how the base is mounted)"
@@ -101,10 +101,10 @@ def excessive_weight(of: Recordings) -> Iterator[QualityFinding]:
     apart = np.linalg.norm(dynamics.chain[1][1:], axis=1).sum()
     reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), float(apart))
     mass = 2 * torque / (9.81 * reach) if reach > 0 else 0.0
-    if mass > _HEAVIEST * reach**2:
+    if mass > HEAVIEST * reach**2:
         yield QualityFinding(
             f"torques look like N·mm: to need {torque:.3g} N·m at a reach of {reach:.2g} m an arm would weigh "
-            f"{mass:.2g} kg, more than any of its reach ({_HEAVIEST * reach**2:.2g} kg)",
+            f"{mass:.2g} kg, more than any of its reach ({HEAVIEST * reach**2:.2g} kg)",
             of.named(of.turning),
             scale=True,
         )
@@ -283,5 +283,5 @@ def _measured_masses(robot: RobotDescription) -> np.ndarray | None:
     """(10 n,) standard parameters of the description; None where nobody measured them."""
     dynamics = Dynamics(robot)
     masses = dynamics.standard_parameters()
-    too_light = masses[::10].sum() < _LIGHTEST * dynamics.reach**2
+    too_light = masses[::10].sum() < LIGHTEST * dynamics.reach**2
     return None if placeholders(masses) or too_light else masses

@@ -1,0 +1,80 @@
+"""Masses and lengths of a description that are in another unit than kg and m, as mass and reach of an arm show.
+
+What undoing the unit makes of the description has to be an arm, and its gravity has to be in the torques.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from agent.data_quality.description_fit import HEAVIEST, LIGHTEST, compared_weight
+from agent.data_quality.faults import QualityFinding, Recordings
+from agent.robot import Dynamics, RobotDescription
+
+_MASSES = {"": 1.0, "g": 1e-3, "t": 1e3}  # kg
+_LENGTHS = {"": 1.0, "mm": 1e-3}  # m
+
+
+@dataclass(frozen=True)
+class _Build:
+    """Mass [kg] and reach [m] of an arm, and how far [m] a link's centre of mass is from its joint at most."""
+
+    mass: float
+    reach: float
+    centre: float
+
+    @classmethod
+    def of(cls, robot: RobotDescription) -> _Build:
+        dynamics = Dynamics(robot)
+        links = dynamics.standard_parameters().reshape(-1, 10)
+        centres = np.linalg.norm(links[:, 1:4], axis=1) / np.maximum(links[:, 0], 1e-300)
+        return cls(float(links[:, 0].sum()), dynamics.reach, float(centres.max()))
+
+    @property
+    def possible(self) -> bool:
+        """Whether there are such arms."""
+        return LIGHTEST <= self.mass / self.reach**2 <= HEAVIEST and self.centre <= self.reach
+
+
+def description_units(of: Recordings) -> Iterator[QualityFinding]:
+    """Units of masses, lengths and centres of mass with which an impossible description becomes one of this arm."""
+    given = _Build.of(of.robot)
+    if given.mass <= 0 or given.reach <= 0 or given.possible:
+        return
+    for units in sorted(product(_MASSES, _LENGTHS, _LENGTHS), key=lambda one: sum(map(bool, one))):
+        robot = _with_units(of.robot, *units)
+        if not any(units) or not _Build.of(robot).possible:
+            continue
+        weight = compared_weight(Recordings(robot, of.logs, of.others))
+        if weight is None or not weight.alike.any() or weight.off().any():
+            continue
+        which = dict(zip(("masses", "joint origins", "centres of mass"), units, strict=True))
+        looks = " and ".join(f"{what} in {unit}" for what, unit in which.items() if unit)
+        yield QualityFinding(
+            f"the description looks like one with {looks}: as it stands, the arm weighs {given.mass:.3g} kg, reaches "
+            f"{given.reach:.3g} m, and has centres of mass up to {given.centre:.3g} m from joints; converted, its "
+            "gravity is that of the torques",
+            of.robot.joint_names,
+            advice="a URDF is in kg and m: convert it (inertias too, kg·m²)",
+        )
+        return
+
+
+def _with_units(robot: RobotDescription, mass: str, length: str, centre: str) -> RobotDescription:
+    """The robot if its masses, the origins of its joints and its centres of mass are in these units."""
+    root = ElementTree.fromstring(robot.urdf)
+    masses, lengths, centres = _MASSES[mass], _LENGTHS[length], _LENGTHS[centre]
+    for inertial in root.findall("link/inertial"):
+        for one, factor in (("mass", masses), ("inertia", masses * centres**2)):
+            if (element := inertial.find(one)) is not None:
+                element.attrib.update({key: repr(float(value) * factor) for key, value in element.attrib.items()})
+    for origins, factor in ((root.findall("link/inertial/origin"), centres), (root.findall("joint/origin"), lengths)):
+        for origin in origins:
+            place = [float(x) * factor for x in origin.get("xyz", "0 0 0").split()]
+            origin.set("xyz", " ".join(map(repr, place)))
+    return replace(robot, urdf=ElementTree.tostring(root, encoding="unicode"))
