@@ -137,7 +137,8 @@ class TrajectoryController:
                 self._trajectory = SampledTrajectory(self._new, self.joints, now, (position.copy(), velocity.copy()))
                 self._new, self._time = None, now
             else:
-                self._time += self.scaling * (now - self._last)
+                passed = now - self._last  # a clock that is set back changes nothing that runs
+                self._time += self.scaling * (passed if passed > 0.0 else self.period)
             self._last = now
             trajectory = self._trajectory
             if trajectory is not None:

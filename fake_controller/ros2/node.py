@@ -71,7 +71,7 @@ class Ros2Server:
 
     def __init__(self, cell: Ros2Cell, address: str, goals: bool = True) -> None:
         import rclpy
-        from rclpy.experimental import EventsExecutor
+        from rclpy.executors import SingleThreadedExecutor
 
         self.cell, self.address = cell, address
         self.taken: deque[Any] = deque(maxlen=100)  # trajectories, as they came
@@ -79,7 +79,7 @@ class Ros2Server:
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=place.domain, signal_handler_options=rclpy.SignalHandlerOptions.NO)
         self._nodes = [self._controller_node(goals), self._manager_node()]
-        self._executor = EventsExecutor(context=self.context)
+        self._executor = SingleThreadedExecutor(context=self.context)
         for node in self._nodes:
             self._executor.add_node(node)
         names = sorted(cell.robot.joint_names)  # as a joint_state_broadcaster filtered by a URDF has them
@@ -216,13 +216,14 @@ class Ros2Server:
     # What goes out
 
     def _live(self) -> None:
+        dropped = False
         while not self._closing.wait(_TURN):
             cycles = self.cell.run()
-            if cycles is not None and self.context.ok():
+            if cycles is not None and self.context.ok() and not dropped:
                 try:
                     self._publish(cycles)
-                except ConnectionResetError:  # the fault `drop`
-                    return
+                except ConnectionResetError:  # the fault `drop`: the arm goes on all the same
+                    dropped = True
 
     def _publish(self, cycles: RosCycles) -> None:
         for k, stamp in enumerate(cycles.stamps):

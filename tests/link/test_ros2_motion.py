@@ -97,20 +97,24 @@ class Arm:
 
     # As the driver sees it
 
-    def send(self, stamp, points):
+    def send(self, ahead, points):
+        stamp = self.now + ahead
         self.sent.append((stamp, points))
         if not self.deaf:
             assert self.controller.take(self._message(stamp, points), self.now) == ""
+        return stamp
 
-    def send_goal(self, stamp, points, tolerance, goal_time, answered, ended):
+    def send_goal(self, ahead, points, tolerance, goal_time, answered, ended):
+        stamp = self.now + ahead
         self.sent.append((stamp, points))
         if self.answers_nothing:
-            return
+            return stamp
         limits = dict(zip(JOINTS, tolerance.tolist(), strict=True))
         given = Goal(
             self._message(stamp, points), lambda status, code, text: ended(int(code), text), limits, {}, goal_time
         )
         answered(self.controller.take_goal(given, self.now) == "")
+        return stamp
 
     def brake(self, strength, expected):
         self.brakes.append(self.now)

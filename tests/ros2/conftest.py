@@ -119,7 +119,7 @@ class RosBench:
     def _answering(self, topic=None, timeout=1.5):
         """Somebody with the parameters of a controller, who publishes texts or nothing."""
         import rclpy
-        from rclpy.experimental import EventsExecutor
+        from rclpy.executors import SingleThreadedExecutor
         from std_msgs.msg import String
 
         namespace = f"/stranger_{next(_arms)}"
@@ -129,7 +129,7 @@ class RosBench:
         node.declare_parameter("joints", list(JOINTS))
         if topic:
             node.create_publisher(String, f"{namespace}/{topic}", 10)
-        executor = EventsExecutor(context=context)
+        executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
         over = threading.Event()
 

@@ -119,6 +119,7 @@ class RosLink(LinkThread):
         """
         self.joints = tuple(joints)
         states, reader = self.target.name(JOINT_STATES), JointStateReader(joints)
+        self.wait(lambda: self._ros.best_effort(states) is not None, self._timeout)
         kinds = self.topics().get(states, ())
         if kinds and "sensor_msgs/msg/JointState" not in kinds:
             raise ProtocolError(f"{states} has messages of type {kinds[0]}, and sensor_msgs/msg/JointState is expected")
@@ -176,27 +177,39 @@ class RosLink(LinkThread):
 
     # To the controller, from any thread
 
-    def send(self, stamp: float, points: Sequence[Sequence[Any]]) -> None:
-        """Send a trajectory by topic, once: points (time [s], then rows (n,) of position and rates) from a stamp."""
+    def now(self) -> float:
+        """Time [s] by the controller's clock, as the freshest sample of the last seconds has it."""
+        with self._changed:
+            return time.time() - min(age for _, age in self._seen)
+
+    def send(self, ahead: float, points: Sequence[Sequence[Any]]) -> float:
+        """Send a trajectory by topic, once: points (time [s], then rows (n,) of position and rates); returns its stamp.
+
+        That is `ahead` [s] of the controller's time at the last moment: old samples make it no later.
+        """
         self.check()
-        self._commands.publish(trajectory_message(self.joints, stamp, points))
+        message = trajectory_message(self.joints, 0.0, points)
+        stamp = self.now() + ahead
+        set_time(message.header.stamp, stamp)
+        self._commands.publish(message)
+        return stamp
 
     def send_goal(
         self,
-        stamp: float,
+        ahead: float,
         points: Sequence[Sequence[Any]],
         tolerance: np.ndarray,
         goal_time: float,
         answered: Callable[[bool], None],
         ended: Callable[[int, str], None],
-    ) -> None:
+    ) -> float:
         """The same as a goal, once; `answered` says whether it was accepted, `ended` its error code and text."""
         self.check()
         goal_type, joint_tolerance = (
             typed("control_msgs.action", "FollowJointTrajectory").Goal,
             typed("control_msgs.msg", "JointTolerance"),
         )
-        goal = goal_type(trajectory=trajectory_message(self.joints, stamp, points))
+        goal = goal_type(trajectory=trajectory_message(self.joints, 0.0, points))
         pairs = zip(self.joints, tolerance.tolist(), strict=True)
         goal.path_tolerance = [joint_tolerance(name=name, position=value) for name, value in pairs]
         set_time(goal.goal_time_tolerance, goal_time)
@@ -211,7 +224,10 @@ class RosLink(LinkThread):
             if handle.accepted:
                 handle.get_result_async().add_done_callback(on_result)
 
+        stamp = self.now() + ahead
+        set_time(goal.trajectory.header.stamp, stamp)
         self._goals.send_goal_async(goal).add_done_callback(on_answer)
+        return stamp
 
     def brake(self, strength: np.ndarray, expected: Callable[[float], tuple[np.ndarray, np.ndarray]] | None) -> float:
         """Send the one point that brings the arm to rest, from what it did last; how long that takes [s]. Never raises.

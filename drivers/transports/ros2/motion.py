@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import threading
 import time
@@ -19,8 +20,8 @@ from drivers.transports.ros2.program import GoalProgram, Step
 from drivers.wire.reasons import EndReason
 from drivers.wire.ros2 import JointSample, SetPoint
 
-#: Time [s] from the newest stamp to that of a trajectory: with the lead to its first point it may come half a second
-#: late before the controller would jump.
+#: Time [s] from the controller's now to the stamp of a trajectory: with the lead to its first point it may be half a
+#: second on its way before the controller would jump.
 AHEAD = 0.3
 #: Share of its path tolerance that a joint may be off before the arm is braked; the controller stops it at the whole.
 SHARE = 0.8
@@ -287,29 +288,22 @@ class Ros2Motion(SampleStream):
             if self.goals_sent == 0:
                 raise error
             self._why = error
-            return self._come_to_rest()
-        stamp = sample.stamp + AHEAD
-        self.course = Course(stamp, sample.position, points)
-        if step.points is not None:
-            self.cycle_starts.append(stamp + float(points.times[0]))
+            self._come_to_rest()
+            return
         tolerance = np.full(len(self._program.joints), 0.1) if step.tolerance is None else step.tolerance
         self._limit_off = SHARE * tolerance
         rows = [(float(t), *row) for t, row in zip(points.times, points.rows, strict=True)]
         self._phase, self._accepted, self._result, self._sent_at = "moving", None, None, self._clock()
         self.goals_sent += 1
-        if not self._by_goal:
-            self._link.send(stamp, rows)
-            return None
         number = self.goals_sent
-        self._link.send_goal(
-            stamp,
-            rows,
-            tolerance,
-            step.goal_time,
-            lambda accepted: self._answered(number, accepted),
-            lambda code, text: self._ended(number, code, text),
-        )
-        return None
+        if self._by_goal:
+            answered, ended = functools.partial(self._answered, number), functools.partial(self._ended, number)
+            stamp = self._link.send_goal(AHEAD, rows, tolerance, step.goal_time, answered, ended)
+        else:
+            stamp = self._link.send(AHEAD, rows)
+        self.course = Course(stamp, sample.position, points)
+        if step.points is not None:
+            self.cycle_starts.append(stamp + float(points.times[0]))
 
     def _answered(self, number: int, accepted: bool) -> None:
         with self._lock:

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.errors import RefusedError
 from drivers.transports.ros2.link import RosLink
-from drivers.wire.ros2 import MANAGER, JointSample
+from drivers.wire.ros2 import MANAGER
 
 _KINDS = ("joint_trajectory_controller/JointTrajectoryController", "ur_controllers/ScaledJointTrajectoryController")
 #: Faster joints are not stationary [rad/s].
@@ -120,8 +120,3 @@ def check_arm(link: RosLink, joints: Sequence[str], recorded: bool) -> None:
             f"joint_states come up to {age:.2f} s late, {_OLDEST * link.watchdog:.2g} s are allowed; "
             "free this computer or the network"
         )
-
-
-def has_effort(sample: JointSample) -> bool:
-    """Whether a sample has the effort of every joint."""
-    return bool(np.isfinite(sample.effort).all())

@@ -19,6 +19,7 @@ from drivers.wire.ros2 import RosAddress
 
 #: Samples that wait in the middleware: at 10 a busy process loses one in ten, at 2000 it loses nothing.
 DEPTH = 2000
+_ANSWERS = 0.015  # s between two looks for answers: one takes as long as ten samples
 
 
 def typed(package: str, name: str) -> Any:
@@ -43,7 +44,7 @@ class Ros:
     def __init__(self, domain: int, name: str) -> None:
         try:
             import rclpy
-            from rclpy.experimental import EventsExecutor
+            from rclpy.executors import SingleThreadedExecutor
             from rclpy.node import Node
         except ImportError as error:
             raise DriverError(
@@ -60,12 +61,15 @@ class Ros:
             Node(one, context=self.context, use_global_arguments=False, **options) for one in (name, f"{name}_listener")
         )
         self._polled: list[tuple[Any, Any, Callable[[bytes], None]]] = []
-        self._executor = EventsExecutor(context=self.context)
+        self._executor, self._answers_due = SingleThreadedExecutor(context=self.context), 0.0
         self._executor.add_node(self.node)
 
     def spin_once(self, timeout: float) -> None:
-        """Wait up to `timeout` [s] for answers, and handle them and all messages that have come."""
-        self._executor.spin_once(timeout_sec=timeout)
+        """Handle all messages that come within `timeout` [s], and an answer, where one is there."""
+        time.sleep(timeout)
+        if time.monotonic() >= self._answers_due:
+            self._answers_due = time.monotonic() + _ANSWERS
+            self._executor.spin_once(timeout_sec=0.0)
         for subscription, kind, take in self._polled.copy():
             for _ in range(DEPTH):
                 taken = subscription.handle.take_message(kind, True)
