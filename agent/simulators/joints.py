@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import json
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
 from difflib import SequenceMatcher
 from pathlib import Path
 
@@ -16,59 +18,79 @@ _ALIKE = 0.6
 
 
 class JointMap(BaseModel):
-    """A map file: `joints`, name in the simulator's file → name in the robot description or the logs."""
+    """A map file: `joints`, name in the simulator's file → name in the robot description or the logs, or null."""
 
     model_config = ConfigDict(extra="forbid")
-    joints: dict[str, str]
+    joints: dict[str, str | None]
 
 
-def load_joint_map(path: Path) -> dict[str, str]:
+def load_joint_map(path: Path) -> dict[str, str | None]:
     """Read a map file.
 
     Raises:
         InputError: not such a file, or two joints with one name.
     """
     joints = load_document(path, JointMap).joints
-    twice = {name for name in joints.values() if list(joints.values()).count(name) > 1}
+    called = [name for name in joints.values() if name is not None]
+    twice = {name for name in called if called.count(name) > 1}
     if twice:
         raise InputError(f"{path}: joints: {', '.join(sorted(twice))} stands for two joints of the simulator's file")
     return joints
 
 
 def matched(
-    path: Path, in_file: Sequence[str], wanted: Sequence[str], owner: str, names: Mapping[str, str] | None
+    path: Path,
+    in_file: Sequence[str],
+    wanted: Sequence[str],
+    owner: str,
+    names: Mapping[str, str | None] | None,
+    arms: Callable[[], Sequence[Sequence[str]]] = tuple,
 ) -> dict[str, str]:
     """File name → name for the joints used, in the file's order.
 
     `wanted` are the joints of `owner`; all but grippers must be found, unless a map (`names`) says which. A joint is
-    found by its name, whatever prefix says its side or role.
+    found by its name, whatever prefix says its side or role, unless the map leaves it out (None).
+    `arms` are those of the file, base to tip.
 
     Raises:
         InputError: with what matched and what did not.
     """
     unknown = [name for name in names or {} if name not in in_file]
-    strange = [name for name in (names or {}).values() if name not in wanted]
+    strange = [name for name in (names or {}).values() if name is not None and name not in wanted]
     if unknown or strange:
         raise InputError(
             f"--map: {', '.join(unknown or strange)} is no joint of {path.name if unknown else owner}; "
             f"its joints are {', '.join(in_file if unknown else wanted)}"
         )
-    taken = dict(names or {})
-    free = [name for name in in_file if name not in taken and name not in taken.values()]
+    taken = {name: called for name, called in (names or {}).items() if called is not None}
+    free = [name for name in in_file if name not in (names or {}) and name not in taken.values()]
     pairs = taken | joint_pairs(free, [name for name in wanted if name not in taken.values()])
     found = {name: pairs[name] for name in in_file if name in pairs}
     missing = [name for name in wanted if name not in found.values() and not is_gripper(name)]
     if not found or (missing and names is None):
         left = [name for name in in_file if name not in found]
-        example = ", ".join(f"{a}: {b}" for a, b in _proposed(left or ["joint_of_file"], missing))
+        likeliest = max(
+            (_proposed([one for one in arm if one in left], missing) for arm in arms()), key=len, default=[]
+        )
+        example = _map_of(dict(likeliest or _proposed(left, missing)) or found)
         counts = f"{counted(len(in_file), 'joint')} in the file, {len(wanted)} in {owner}"
         fewer = f" {counts}: is it of this arm?" if len(in_file) < len(wanted) else ""
         raise InputError(
             f"{path}: its joints don't match those of {owner}: matched {', '.join(found.values()) or 'none'}; only in "
             f"{owner}: {', '.join(missing)}; only in the file: {', '.join(left) or 'none'}.{fewer} Say which is "
-            f"which with --map FILE, in YAML: joints: {{{example}}}"
+            f"which with --map FILE, in YAML: joints: {example}"
         )
     return found
+
+
+def _map_of(pairs: Mapping[str, str | None]) -> str:
+    """A map in YAML, names in quotes where they would be no text without."""
+    plain = re.compile(r"(?!(?i:y|n|yes|no|on|off|true|false|null)$)[A-Za-z_][\w./-]*", re.ASCII)
+
+    def text(name: str | None) -> str:
+        return "null" if name is None else name if plain.fullmatch(name) else json.dumps(name)
+
+    return f"{{{', '.join(f'{text(name)}: {text(called)}' for name, called in pairs.items())}}}"
 
 
 def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, str]]:
@@ -87,9 +109,10 @@ def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, 
 
 def leaving_out(used: Mapping[str, str], left_out: Collection[str]) -> str:
     """The end of a message: the map that leaves some joints of the file out."""
-    kept = ", ".join(f"{name}: {called}" for name, called in used.items() if name not in left_out)
+    if not set(used) - set(left_out):
+        return "none is left to compare"
     it = "it" if len(left_out) == 1 else "them"
-    return f"leave {it} out with --map FILE, in YAML: joints: {{{kept}}}" if kept else "none is left to compare"
+    return f"leave {it} out with --map FILE, in YAML: joints: {_map_of(dict.fromkeys(left_out))}"
 
 
 def listed(names: Sequence[str], most: int = 6) -> str:

@@ -41,7 +41,7 @@ def load_simulator(
     path: Path,
     robot: RobotDescription | None,
     log_joints: Sequence[str],
-    names: Mapping[str, str] | None = None,
+    names: Mapping[str, str | None] | None = None,
 ) -> Simulator:
     """Read an MJCF or URDF. Its joints are matched to those of `robot`, or of the logs where there is none.
 
@@ -55,8 +55,9 @@ def load_simulator(
     owner, gravity = ("the logs", _GRAVITY) if robot is None else (f"robot {robot.name}", robot.gravity)
 
     def match(in_file: Sequence[str]) -> dict[str, str]:
-        found = matched(path, in_file, wanted, owner, names)
-        arms = [] if not names else [arm for arm in _arms(path, root, lambda name: name in found) if {*names} <= {*arm}]
+        found = matched(path, in_file, wanted, owner, names, lambda: _arms(path, root, lambda name: True))
+        chosen = {name for name, called in (names or {}).items() if called is not None}
+        arms = [arm for arm in _arms(path, root, lambda name: name in found) if chosen <= {*arm}] if chosen else []
         return {name: found[name] for name in in_file if name in arms[0]} if arms else found
 
     arm = _arm(path, root, match, gravity)

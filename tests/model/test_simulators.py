@@ -1,11 +1,14 @@
 """Simulators of others as models: the torque they give is that of their own engine, and what they cannot be is said."""
 
+import itertools
 import re
+import tempfile
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
 from agent.core import Console, InputError, RejectedError
 from agent.diagnosis.forward.rollout import MujocoEngine
@@ -191,6 +194,46 @@ def test_the_proposed_map_keeps_the_order_of_unrelated_names(tmp_path, robot):
     numbered = URDF.replace('"pan"', '"joint_1"').replace('"lift"', '"joint_2"')
     with pytest.raises(InputError, match=r"joints: \{joint_1: waist_joint, joint_2: elbow_joint\}"):
         load_simulator(written(tmp_path, numbered, "model.urdf"), None, ("waist_joint", "elbow_joint"))
+
+
+def pasted(folder: Path, message: str) -> dict[str, str | None]:
+    """The map that a message proposes, read from a file."""
+    return load_joint_map(written(folder, re.search(r"joints: \{.*\}", message).group(), "pasted.yaml"))
+
+
+SIDES = st.sampled_from(["left_", "right/", "l", "arm1.", "", "y", "on", "'"])
+PARTS = st.lists(st.sampled_from(["pan", "lift", "no", "1", "a: b", "ü", "wrist_roll", "{x}"]), min_size=1, unique=True)
+
+
+@given(st.lists(SIDES, min_size=1, max_size=2, unique=True), PARTS, PARTS, st.booleans())
+def test_a_proposed_map_is_accepted_and_names_joints_of_one_arm(sides, own, wanted, known):
+    arms = [[f"{side}{part}" for part in own] for side in sides]
+    in_file = list(dict.fromkeys(itertools.chain(*arms)))
+
+    def match(names=None):
+        return matched(Path("arm.xml"), in_file, wanted, "the logs", names, (lambda: arms) if known else tuple)
+
+    try:
+        match()
+    except InputError as refused:
+        with tempfile.TemporaryDirectory() as folder:
+            names = pasted(Path(folder), str(refused))
+        assert names.items() <= match(names).items()
+        assert not known or any({*names} <= {*arm} for arm in arms)
+
+
+@pytest.mark.parametrize("what", ["two arms", "two arms in a URDF"])
+def test_a_map_that_leaves_joints_out_is_accepted(tmp_path, what):
+    pytest.importorskip("mujoco")
+    apart = URDF.replace('<parent link="a"/>', '<parent link="base"/>')
+    assert apart != URDF
+    path = written(tmp_path, {**REFUSED, "two arms in a URDF": (apart, "")}[what][0], "model.xml")
+    with pytest.raises(InputError, match="out with --map") as refused:
+        load_simulator(path, None, ("pan", "lift"))
+    names = pasted(tmp_path, str(refused.value))
+    left = load_simulator(path, None, ("pan", "lift"), names).model.robot.joint_names
+    assert len(left) == 1
+    assert not {*left} & {*names}
 
 
 def test_positions_in_degrees_are_refused(tmp_path, robot):
