@@ -31,6 +31,7 @@ def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[L
     rows = moments.rows.sum(axis=(0, 1))
     times = problem.autocorrelation_times(found.parameters)
     first = observation.segments[0].motion
+    silent = silent_directions(moments, found.weights, problem.prior, times)
     model = IdentifiedModel(
         robot=observation.robot,
         independent=observation.rigid.independent,
@@ -51,9 +52,14 @@ def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[L
         group_rmse=_group_rmse(moments, found),
         standstill_speed=observed_standstill_speed(observation),
         prior=parameter_prior(problem, found),
-        provenance={**_provenance(observation, logs), "link_prior": problem.links, "range": fitted_range(observation)},
+        provenance={
+            **_provenance(observation, logs),
+            "link_prior": problem.links,
+            "range": fitted_range(observation),
+            "open_directions": len(silent),
+        },
     )
-    return replace(model, notes=tuple(_notes(model, problem, found, times)))
+    return replace(model, notes=tuple(_notes(model, problem, found, silent)))
 
 
 def _group_rmse(moments: Moments, found: Estimate) -> np.ndarray:
@@ -73,7 +79,7 @@ def condition_number(total: np.ndarray) -> float:
     return float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-14 * values[-1] else float("inf")
 
 
-def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.ndarray) -> Iterator[str]:
+def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, silent: np.ndarray) -> Iterator[str]:
     segments = "segments of the motion, all cycles together, with a guard between them"
     kind = "whole motions" if problem.partition.whole_motions else segments
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
@@ -99,11 +105,10 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, times: np.
             "parameters. Predictions of similar motions are sound, single values are not; a motion planned for "
             "excitation, or a larger sub-region, separates them."
         )
-    directions = silent_directions(problem.moments, found.weights, problem.prior, times)
-    if len(directions) and found.prior_weight > 0:
-        names = ", ".join(_leading_names(model.names, directions))
+    if len(silent) and found.prior_weight > 0:
+        names = ", ".join(_leading_names(model.names, silent))
         yield (
-            f"Record more varied motion if you need these values: {names}. These logs leave {len(directions)} of "
+            f"Record more varied motion if you need these values: {names}. These logs leave {len(silent)} of "
             f"{len(model.values)} combinations of parameters open, and the prior fills them "
             f"({_prior_in_words(problem.links)}). Torque of similar motions does not depend on them."
         )

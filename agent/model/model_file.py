@@ -151,6 +151,8 @@ def _check_provenance(provenance: dict[str, Any], n: int) -> None:
     for key in ("serial", "tool"):
         if not isinstance(provenance.get(key, []), list):
             raise ValueError(f"provenance.{key} is a list")
+    if not isinstance(provenance.get("open_directions", 0), int):
+        raise ValueError("provenance.open_directions is a whole number")
     if "range" not in provenance:
         return
     for key in ("lowest", "highest", "fastest"):

@@ -10,10 +10,19 @@ from agent.robot import Dynamics
 
 
 @pytest.mark.parametrize(
-    ("motion", "still", "size", "enough"),
-    [(0.55, 0, 1, False), (0.1, 4, 1, False), (2.5, 0, 1, True), (2.5, 4, 1, True), (20, 0, 0.01, True)],
+    ("motion", "still", "size", "enough", "few"),
+    [
+        (0.55, 0, 1, False, True),
+        (0.1, 4, 1, False, True),
+        (2.5, 0, 1, True, False),
+        (2.5, 4, 1, True, True),
+        (20, 0, 0.01, True, True),
+        (20, 0, 1, True, False),
+    ],
 )
-def test_too_little_motion_needs_force(arm, multisine, make_log, tmp_path, motion, still, size, enough):
+def test_too_little_motion_is_said_first_and_needs_force(
+    arm, multisine, make_log, tmp_path, motion, still, size, enough, few
+):
     robot, t = arm(2), np.arange(round(500 * (motion + still))) / 500
     since = t - still / 2
     q, *moving = (size * values for values in multisine(2, np.clip(since, 0.0, motion)))
@@ -25,4 +34,5 @@ def test_too_little_motion_needs_force(arm, multisine, make_log, tmp_path, motio
         with pytest.raises(RejectedError, match=r"a\.mcap: too little motion: .* postures .* parameters need"):
             fit_logs(robot, logs, FitQuestion(method="weighted"), Console(-1))
     fit_logs(robot, logs, FitQuestion(method="weighted", force=not enough), Console(-1))[0].save(out)
-    assert IdentifiedModel.load(out).robot.name == robot.name
+    first, *_ = IdentifiedModel.load(out).text().splitlines()
+    assert first.startswith("Too little motion: these logs leave" if few else "parameter ")
