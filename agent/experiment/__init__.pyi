@@ -5,7 +5,16 @@ from .baselines import (
     pieces_otherwise as pieces_otherwise,
 )
 from .deadline import Deadline as Deadline, OutOfTime as OutOfTime
-from .piece_choice import Expected as Expected, Experiment as Experiment, plan_experiment as plan_experiment
-from .pieces import KINDS as KINDS, Piece as Piece
+from .known_mass import LONGEST as LONGEST, WithMass as WithMass
+from .next_motion import (
+    BRAKES as BRAKES,
+    DRIVES_OFF as DRIVES_OFF,
+    NextMotion as NextMotion,
+    NoMotion as NoMotion,
+    clearer_with_mass as clearer_with_mass,
+    plan_motion as plan_motion,
+)
+from .piece_choice import Experiment as Experiment, plan_experiment as plan_experiment
+from .pieces import KINDS as KINDS
 from .questions import OpenPair as OpenPair, open_pairs as open_pairs
 from .scorer import ExperimentScorer as ExperimentScorer, tells_apart_by_load as tells_apart_by_load

@@ -23,10 +23,11 @@ import numpy as np
 from agent.core import AgentError, Console, finite, write_atomically
 from agent.diagnosis import Diagnosis, diagnose
 from agent.estimation import estimate
-from agent.experiment import KINDS, ExperimentScorer, Pick, as_drawn, d_optimal, pieces_otherwise
+from agent.experiment import KINDS, LONGEST, ExperimentScorer, NextMotion, Pick, as_drawn, d_optimal, pieces_otherwise
+from agent.experiment.next_motion import RunnablePieces
 from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
-from agent.pipeline.gap.next_experiment import LONGEST, NextMotion, Runs, clearer_with_mass, plan_next
+from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next
 from agent.pipeline.plan import Plan, loop_problem, make_plan, program_text
 from agent.recipe import Recipe, load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
@@ -155,7 +156,7 @@ class ActiveRun:
             motion = plan_next(found, self._recipe, _QUIET, seconds, "further", load)
             if not isinstance(motion, NextMotion):
                 return WayMotion("", 0.0, mass=motion.mass and payload_text(motion.mass.load))
-            mass = clearer_with_mass(found, self._recipe, motion, _QUIET) if ask_mass else None
+            mass = clearer_loaded(found, self._recipe, motion, _QUIET) if ask_mass else None
             expected = motion.to_dict("further")["probability"]
             return WayMotion(motion.text, motion.planned.duration, expected, mass and payload_text(mass.load))
         if way == "loop_again":
@@ -284,7 +285,7 @@ def run_otherwise(
     Raises:
         InputError: the recipe's cell allows no motion.
     """
-    runs = Runs(recipe, name, seconds)
+    runs = RunnablePieces(recipe, name, seconds)
     if not pieces_otherwise(pick, loop_problem(recipe, recipe.motion.speed), seconds, seed, runs, kinds):
         return None
     assert runs.motion is not None

@@ -9,9 +9,9 @@ import typer
 
 from agent.cli.app import app
 from agent.core import ControllerError, InputError, MismatchError
+from agent.experiment import BRAKES
 from agent.pipeline import GapQuestion
 from agent.pipeline.ending import going_on
-from agent.pipeline.gap.next_experiment import BRAKES
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import options_of
 from agent.runs.folder import RunFolder

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from agent.core import AgentError, Console, InputError, RejectedError, write_atomically
-from agent.experiment import KINDS, Experiment, as_drawn
+from agent.experiment import KINDS, LONGEST, Experiment, NextMotion, NoMotion, as_drawn, known_mass, next_motion
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files
-from agent.pipeline.gap import diagnose, diagnosis_run, next_experiment
-from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, check_arm, check_tool, plan_next
+from agent.pipeline.gap import diagnose, diagnosis_run
+from agent.pipeline.gap.next_experiment import check_arm, check_tool, plan_next
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.recording import write_log
@@ -55,8 +55,9 @@ def ask(tmp_path: Path, monkeypatch):
             ),
         )
         answers = iter(experiments)
-        monkeypatch.setattr(next_experiment, "open_pairs", lambda found: [pair(side("stribeck"), second)])
-        monkeypatch.setattr(next_experiment, "plan_experiment", lambda *_: next(answers))
+        monkeypatch.setattr(next_motion, "open_pairs", lambda found: [pair(side("stribeck"), second)])
+        for module in (next_motion, known_mass):
+            monkeypatch.setattr(module, "plan_experiment", lambda *_: next(answers))
         return plan_next(found, recipe, Console(-1), seconds)  # type: ignore[arg-type]
 
     return run
@@ -79,7 +80,7 @@ def test_a_doubtful_cause_without_an_alternative_is_not_settled(tmp_path: Path, 
     cause = SimpleNamespace(place=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
     dataset = SimpleNamespace(robot=recipe.robot)
     found = SimpleNamespace(verdict="ambiguous", selected=SimpleNamespace(causes=(cause,)), dataset=dataset)
-    monkeypatch.setattr(next_experiment, "open_pairs", lambda found: [])
+    monkeypatch.setattr(next_motion, "open_pairs", lambda found: [])
     said = plan_next(found, recipe, Console(-1))  # type: ignore[arg-type]
     assert said.text.startswith("torque_ripple on joint_6 closes too little of the gap to be sure. ")
     assert said.to_dict()["separates"] == ["torque_ripple"]
@@ -202,11 +203,9 @@ def test_keeps_the_bare_arm_motion_if_planning_with_a_mass_is_stopped(asked, mon
     piece = SimpleNamespace(text=lambda robot: "a loop of the bare arm")
     experiment = SimpleNamespace(expected=(), pieces=[piece])
     text = "PROGRAM x\nBEGIN\n  DELAY 4000\nEND x\n"
-    planned = next_experiment.NextMotion(
-        experiment, PlannedProgram("experiment", text, ()), load_robot("comau_ns16"), Pdl2()
-    )  # type: ignore[arg-type]
+    planned = NextMotion(experiment, PlannedProgram("experiment", text, ()), load_robot("comau_ns16"), Pdl2())  # type: ignore[arg-type]
     monkeypatch.setattr(diagnose, "plan_next", lambda *_, **__: planned)
-    monkeypatch.setattr(diagnose, "clearer_with_mass", fails(why))
+    monkeypatch.setattr(diagnose, "clearer_loaded", fails(why))
     question, shown = asked(why)
     assert shown["next_experiment"]["motion"] == "a loop of the bare arm"
     assert any("the motion with a known mass was not planned" in text for text in shown["warnings"])
@@ -245,12 +244,12 @@ def test_plans_within_the_fitted_and_logged_range():
         return problem
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(next_experiment, "replace", replaced)
-        next_experiment._where_known(recipe_problem, found)  # type: ignore[arg-type]
+        patch.setattr(next_motion, "replace", replaced)
+        next_motion._where_known(recipe_problem, found)  # type: ignore[arg-type]
     assert kept["joint_1"] == (-1.8, 1.5), "a quarter further than the fit, and as far as the logs"
     assert kept["joint_2"] == (-0.4, 1.5), "and never further than the cell allows"
     found.dataset.model.provenance = {}
-    assert next_experiment._where_known(recipe_problem, found) is recipe_problem  # type: ignore[arg-type]
+    assert next_motion._where_known(recipe_problem, found) is recipe_problem  # type: ignore[arg-type]
 
 
 def test_transfers_between_pieces_count_towards_the_time(tmp_path: Path, monkeypatch):

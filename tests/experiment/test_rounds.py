@@ -9,6 +9,7 @@ import pytest
 
 from agent.core import AgentError, InputError, RejectedError, sha256_text, write_atomically
 from agent.core.console import Console
+from agent.experiment.next_motion import NextMotion, NoMotion, other_test
 from agent.model import CATALOGUE
 from agent.motion import Delay
 from agent.motion.pdl2 import write_program
@@ -19,7 +20,7 @@ from agent.pages.elements import Page, render
 from agent.pages.phrasing import next_text
 from agent.pipeline.gap import until_sure as module
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
-from agent.pipeline.gap.next_experiment import NextMotion, NoMotion, check_next, other_test
+from agent.pipeline.gap.next_experiment import check_next
 from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.job import Job
 from agent.recipe import load_recipe, template

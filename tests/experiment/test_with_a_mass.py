@@ -11,14 +11,13 @@ import pytest
 from agent.core import Console, write_atomically
 from agent.diagnosis import diagnose
 from agent.diagnosis.hypotheses.search import Search
-from agent.experiment import open_pairs, tells_apart_by_load
+from agent.experiment import NextMotion, known_mass, open_pairs, tells_apart_by_load
+from agent.experiment.known_mass import with_a_mass
 from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pages.diagnosis.summary import planned_section
 from agent.pages.elements import Page, render
-from agent.pipeline.gap import next_experiment
-from agent.pipeline.gap.next_experiment import NextMotion, with_a_mass
 from agent.pipeline.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.robot import Tool, load_robot
@@ -62,8 +61,8 @@ def ask(tmp_path: Path, monkeypatch):
             tried.append(problem.load.mass)
             return planned(loaded, pair)
 
-        monkeypatch.setattr(next_experiment, "plan_experiment", plan)
-        monkeypatch.setattr(next_experiment, "tells_apart_by_load", lambda *_: tells)
+        monkeypatch.setattr(known_mass, "plan_experiment", plan)
+        monkeypatch.setattr(known_mass, "tells_apart_by_load", lambda *_: tells)
         motion = None if bare is None else planned(bare, pair)
         return with_a_mass(FOUND, [pair], change(problem), 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
 

@@ -12,11 +12,11 @@ from typing import Any
 
 from agent.core import AgentError, Console, words_of, write_atomically
 from agent.diagnosis import Diagnosis, extended_model, simulation_part, supported_correction
-from agent.experiment import Deadline
+from agent.experiment import Deadline, NoMotion
 from agent.model import CATALOGUE, payload_of
 from agent.pages import diagnosis_report, in_short, summary
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun, find, read_at_rest, read_reference
-from agent.pipeline.gap.next_experiment import NoMotion, clearer_with_mass, plan_next, write_next
+from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import GapQuestion, options_of
 from agent.pipeline.gap.simulator import run_forward, write_simulator
@@ -234,7 +234,7 @@ def _planned(found: Diagnosis, question: GapQuestion, console: Console) -> Itera
         return
     planned = write_next(motion, question.out)
     yield {"next_experiment": planned}
-    if (mass := clearer_with_mass(found, recipe, motion, console, deadline)) is not None:
+    if (mass := clearer_loaded(found, recipe, motion, console, deadline)) is not None:
         yield {"next_experiment": {**planned, "with_a_mass": mass.to_dict()}}
 
 

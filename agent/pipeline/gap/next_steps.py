@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS, could_show
+from agent.experiment import BRAKES, DRIVES_OFF
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel
 from agent.pages import NextStep
-from agent.pipeline.gap.next_experiment import BRAKES, DRIVES_OFF
 from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
 from agent.pipeline.identify import what_a_model_lacks
 from agent.simulators import is_simulator

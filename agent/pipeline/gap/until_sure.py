@@ -9,10 +9,10 @@ from typing import Any
 
 from agent.core import Console, sha256_text, words_of
 from agent.diagnosis import could_show
-from agent.experiment import Deadline
+from agent.experiment import LONGEST, Deadline, NoMotion
 from agent.link import Recording, open_link
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
-from agent.pipeline.gap.next_experiment import LONGEST, NoMotion, plan_next
+from agent.pipeline.gap.next_experiment import plan_next
 from agent.pipeline.gap.question import SHORTEST
 from agent.pipeline.job import Job
 from agent.recording import PARTS, PLANNED_PARTS
