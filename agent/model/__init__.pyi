@@ -4,6 +4,7 @@ from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
+from .effects.payload import ball as ball
 from .effects.simulator_numbers import SimulatorNumbers as SimulatorNumbers
 from .friction_terms import (
     FORMS as FORMS,
@@ -28,7 +29,12 @@ from .known_load import (
     payload_text as payload_text,
 )
 from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
-from .rigid_friction import HealthyEffect as HealthyEffect, ModelEffect as ModelEffect, ParameterPrior as ParameterPrior
+from .rigid_friction import (
+    HealthyEffect as HealthyEffect,
+    ModelEffect as ModelEffect,
+    ParameterPrior as ParameterPrior,
+    RigidFrictionModel as RigidFrictionModel,
+)
 from .standard_parameters import (
     PSEUDO_INERTIA as PSEUDO_INERTIA,
     body_parameters as body_parameters,
@@ -39,5 +45,6 @@ from .standard_parameters import (
     nearby_body as nearby_body,
     nearest_bodies as nearest_bodies,
     possible_model as possible_model,
+    pseudo_inertia as pseudo_inertia,
     seen_from as seen_from,
 )

@@ -8,6 +8,7 @@ enters every step as its mean over that step, so the motion is a smooth function
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from scipy.interpolate import Akima1DInterpolator
 
 from agent.core import InputError
+from agent.model import pseudo_inertia
 from agent.simulators.arm import SimulatedArm
 from agent.simulators.mjcf import compiled, mujoco_package
 from agent.simulators.servos import PositionServos
@@ -155,6 +157,31 @@ class FreeSimulator:
         if hasattr(model, "actuator_delay"):
             model.actuator_delay[:] = 0.0  # the command is late already
         model.opt.timestep = self.step = min(float(model.opt.timestep), _COARSEST)
+
+    def carrying(self, load: np.ndarray) -> FreeSimulator:
+        """The same arm, its last link with more standard parameters (10,); as it is where no body could have them."""
+        body = self.arm.carrying[-1]
+        found, model = copy(self), copy(self.model)
+        place, back = model.body(body.name).id, np.linalg.inv(body.pose)
+        matrix = np.empty(9)
+        self._mujoco.mju_quat2Mat(matrix, model.body_iquat[place])
+        mass, centre, turn = model.body_mass[place], model.body_ipos[place], matrix.reshape(3, 3)
+        spread = turn @ np.diag(0.5 * model.body_inertia[place].sum() - model.body_inertia[place]) @ turn.T
+        own = np.block([[spread + mass * np.outer(centre, centre), mass * centre[:, None]], [mass * centre, mass]])
+        whole = own + back @ pseudo_inertia(load) @ back.T
+        mass, centre = whole[3, 3], whole[:3, 3] / whole[3, 3]
+        values, axes = np.linalg.eigh(whole[:3, :3] - mass * np.outer(centre, centre))
+        if mass <= 0 or values[0] <= 0:
+            return self
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        model.body_mass[place], model.body_ipos[place] = mass, centre
+        model.body_inertia[place] = values.sum() - values
+        quaternion = np.empty(4)
+        self._mujoco.mju_mat2Quat(quaternion, axes.ravel())
+        model.body_iquat[place] = quaternion
+        self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
+        found.model = model
+        return found
 
     @cached_property
     def creep(self) -> np.ndarray:

@@ -99,6 +99,32 @@ def test_wrong_gains_of_all_servos_may_be_a_load(source):
     assert "payload" in (first["effect"], *(other["effect"] for other in first["equivalent_to"]))
 
 
+def test_a_load_is_found_with_its_mass_and_not_as_gains_of_all_servos(source, tmp_path):
+    loaded = tmp_path / "loaded.xml"
+    ball = '<geom type="sphere" size="0.001" pos="0.15 0 0" mass="0.2" contype="0" conaffinity="0"/>'
+    text = ARM.replace("</body></body></worldbody>", f'<body name="load">{ball}</body></body></body></worldbody>')
+    loaded.write_text(text, encoding="utf-8")
+    result = found_in(source, [recorded(loaded, k, late=0.04, friction=1.0) for k in (1, 2)])[1].result
+    load = next(cause for cause in result["causes"] if cause["effect"] == "payload")
+    assert load["parameters"]["mass"] == pytest.approx(0.2, rel=0.1)
+    assert not any(cause["effect"] == "torque_constant" for cause in result["causes"])
+
+
+def test_how_a_log_begins_is_simulated_and_not_judged(source):
+    log = recorded(source, 1)
+    simulator = load_simulator(source, None, log.joint_names, None)
+    free, reference = FreeSimulator(simulator.arm), NominalModel(simulator.model)
+    whole, later = (
+        stretch.linearised(free, free.numbers, stretch.run(free, free.numbers), reference)
+        for stretch in (stretches_of([log], True)[0], stretches_of([log], True, settling=0.5)[0])
+    )
+    left = round(0.5 * RATE)
+    np.testing.assert_allclose(
+        later.number_columns(free, free.numbers), whole.number_columns(free, free.numbers)[left:], rtol=1e-9
+    )
+    assert len(later.signals.time[later.signals.kept]) == len(log.t) - left
+
+
 def test_the_linear_response_is_the_change_of_the_simulated_motion(source):
     log = recorded(source, 1)
     simulator = load_simulator(source, None, log.joint_names, None)

@@ -9,8 +9,9 @@ of the linear response. No number goes below zero.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,39 +19,54 @@ from agent.core import InputError
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
 from agent.diagnosis.rows.rounding import rounding_step
-from agent.model import NominalModel
+from agent.model import NominalModel, RigidFrictionModel, ball
+from agent.robot import ParameterLayout
 from agent.simulators import KINDS, FreeMotion, FreeSimulator, ServoNumbers
+
+Model = TypeVar("Model", bound=RigidFrictionModel)
 
 _ROUNDS, _TRIES = 30, 6
 _GAINED = 1e-3  # of the cost, below which a round is the last
 _LONGEST_DELAY = 0.6  # s
 _DELAY = 0.1  # s, prior deviation of a delay
+_LOAD = 4  # mass and first moments of a load at the last link
+_LIGHTEST = 1e-6  # kg, below which a load has no inertia
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Which of the 5 n numbers are free, and which move together: `basis` (5 n, p) of the table's change."""
+    """Which of the 5 n numbers and 4 of a load are free, and which move together.
+
+    `basis` (5 n + 4, p) of their change, `scale` (5 n + 4,) how far each may usually move.
+    """
 
     basis: np.ndarray
     scale: np.ndarray
 
     @classmethod
-    def create(cls, scale: np.ndarray, fixed: Sequence[str] = (), one_delay: bool = True) -> Parameters:
-        """All numbers but kinds that are `fixed`, in units of `scale` (5, n); one delay of the arm, or one a joint."""
-        kinds, n = len(KINDS), scale.shape[1]
-        eye = np.eye(kinds * n)
+    def create(
+        cls, scale: np.ndarray, fixed: Sequence[str] = (), one_delay: bool = True, load: bool = False
+    ) -> Parameters:
+        """All numbers but kinds that are `fixed`; one delay of the arm, or one a joint; a `load`."""
+        kinds, n = len(KINDS), (len(scale) - _LOAD) // len(KINDS)
+        eye = np.eye(len(scale))
         columns = []
         for number, kind in enumerate(KINDS):
             own = eye[:, number * n : (number + 1) * n]
             if kind in fixed:
                 continue
             columns.append(own.sum(axis=1, keepdims=True) if kind == "delay" and one_delay else own)
+        if load:
+            columns.append(eye[:, kinds * n :])
         return cls(np.hstack(columns), scale)
 
 
 @dataclass(frozen=True, eq=False)
 class OutputErrorFit:
-    """A fit: the numbers, the motions linearised there, and residuals q − q(θ) per stretch (S', n)."""
+    """A fit: the numbers, the motions linearised there, and residuals q − q(θ) per stretch (S', n).
+
+    `simulator` is that of the file, without the load; `load` (10,) what the last link gains by it.
+    """
 
     simulator: FreeSimulator
     reference: NominalModel
@@ -60,6 +76,7 @@ class OutputErrorFit:
     motions: tuple[LinearisedMotion, ...]
     residuals: tuple[np.ndarray, ...]
     sigma: np.ndarray
+    load: np.ndarray
 
     @cached_property
     def columns(self) -> list[np.ndarray]:
@@ -73,7 +90,8 @@ class OutputErrorFit:
 
 
 def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(5, n) of each number what would take all of its joint's torque; of kp itself, of a delay 0.1 s."""
+    """(5 n + 4,) of each number what would take all of its joint's torque; of kp itself, of a delay 0.1 s, of a load
+    what would take the strongest joint's at full reach."""
     lag, speed, acceleration = [], [], []
     for one in stretches:
         asked = one.command.between(np.append(one.time, 2 * one.time[-1] - one.time[-2]), numbers.delay)
@@ -85,7 +103,10 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
         np.maximum(np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)), 1e-6) for part in (lag, speed, acceleration)
     )
     torque = torque * numbers.kp
-    return np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, np.full(len(torque), _DELAY)])
+    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, np.full(len(torque), _DELAY)])
+    weight = max(float(np.linalg.norm(reference.robot.gravity)), 1.0)
+    mass = float(torque.max()) / weight / reference.reach
+    return np.concatenate([servos.ravel(), mass * np.array([1.0, *[reference.reach] * 3])])
 
 
 def rounding_error(stretches: Sequence[CommandedStretch]) -> np.ndarray:
@@ -118,15 +139,16 @@ def fit_output_error(
     Raises:
         InputError: the simulator blows up with the numbers to start from.
     """
-    basis, scale = parameters.basis, parameters.scale.ravel()
+    basis, scale = parameters.basis, parameters.scale
     size = np.sqrt(np.maximum((basis**2 * scale[:, None] ** 2).sum(axis=0) / (basis**2).sum(axis=0), 1e-300))
-    table, n = start.table.ravel(), len(start.kp)
+    n, none = len(start.kp), np.zeros(_LOAD)
+    table, last = np.append(start.table, none), 5 * n
     first = _run(simulator, table, stretches)
     if first is None:
         raise InputError(f"{simulator.arm.path}: the simulator blows up under the recorded command as the file is")
     motions: list[FreeMotion] = first
     sigma = np.hypot(rounding_error(stretches), LIMITS.least_error * usual_twist(motions, start.kp))
-    x = np.linalg.lstsq(basis, table - file.table.ravel(), rcond=None)[0]
+    x = np.linalg.lstsq(basis, table - np.append(file.table, none), rcond=None)[0]
     weight, residuals = 1e-2, _left(stretches, motions)
 
     def cost_of(left: Sequence[np.ndarray], at: np.ndarray) -> float:
@@ -134,18 +156,20 @@ def fit_output_error(
 
     cost = cost_of(residuals, x)
     for number in range(_ROUNDS):
-        numbers = ServoNumbers.of_table(table.reshape(len(KINDS), n))
+        numbers, about = ServoNumbers.of_table(table[:last].reshape(5, n)), _loaded(reference, table[last:])
         matrix, side = np.diag(1 / size**2), -x / size**2
         for one, motion, left in zip(stretches, motions, residuals, strict=True):
-            line = one.linearised(simulator, numbers, motion, reference)
-            rows = (line.number_columns(simulator, numbers) @ basis / sigma[None, :, None]).reshape(-1, len(size))
+            line = one.linearised(simulator, numbers, motion, about)
+            columns = line.number_columns(simulator, numbers) @ basis[:last]
+            if basis[last:].any():
+                columns += line.load_columns(_shape(table[last:])) @ basis[last:]
+            rows = (columns / sigma[None, :, None]).reshape(-1, len(size))
             matrix += rows.T @ rows
             side += rows.T @ (left / sigma).ravel()
         drop = 0.0
         for _ in range(_TRIES):
             step = _bounded_step(matrix, side, weight, basis, table)
-            moved = np.maximum(table + basis @ step, 0.0)
-            moved[-n:] = np.minimum(moved[-n:], _LONGEST_DELAY)
+            moved = _possible(table + basis @ step, last, reference.reach)
             now = _run(simulator, moved, stretches)
             if now is not None:
                 left_now = _left(stretches, now)
@@ -160,11 +184,43 @@ def fit_output_error(
         progress(f"output error, round {number + 1}")
         if drop < gained:
             break
-    numbers = ServoNumbers.of_table(table.reshape(len(KINDS), n))
-    lines = [s.linearised(simulator, numbers, m, reference) for s, m in zip(stretches, motions, strict=True)]
+    numbers, about = ServoNumbers.of_table(table[:last].reshape(5, n)), _loaded(reference, table[last:])
+    lines = [s.linearised(simulator, numbers, m, about) for s, m in zip(stretches, motions, strict=True)]
+    load = _shape(table[last:]) @ table[last:]
     return OutputErrorFit(
-        simulator, reference, parameters, numbers, tuple(stretches), tuple(lines), tuple(residuals), sigma
+        simulator, reference, parameters, numbers, tuple(stretches), tuple(lines), tuple(residuals), sigma, load
     )
+
+
+def _shape(load: np.ndarray) -> np.ndarray:
+    """(10, 4) parameters of a link per unit of a point's mass and first moments (4,), exact at this one."""
+    if load[0] < _LIGHTEST:
+        return np.eye(10)[:, :_LOAD]
+    return ball({**dict(zip(("m0", "hx0", "hy0", "hz0"), map(float, load), strict=True)), "point_mass": 1.0})
+
+
+def _loaded(reference: NominalModel, load: np.ndarray) -> NominalModel:
+    """The reference with a load at its last link."""
+    return NominalModel(with_link(reference.model, _shape(load) @ load)) if load.any() else reference
+
+
+def with_link(model: Model, gained: np.ndarray) -> Model:
+    """The model whose last link has gained standard parameters (10,)."""
+    change = np.zeros(model.projection.shape[1])
+    change[ParameterLayout.of(model.robot).link(model.robot.dof - 1)] = gained
+    values = model.values.copy()
+    values[: len(model.independent)] += model.projection @ change
+    return replace(model, values=values)
+
+
+def _possible(table: np.ndarray, last: int, reach: float) -> np.ndarray:
+    """The numbers and the load next to these that can be: none below zero, no load beyond the arm's reach."""
+    found = table.copy()
+    found[: last + 1] = np.maximum(found[: last + 1], 0.0)
+    found[last - last // 5 : last] = np.minimum(found[last - last // 5 : last], _LONGEST_DELAY)
+    away, most = float(np.linalg.norm(found[last + 1 :])), reach * found[last]
+    found[last + 1 :] *= min(1.0, most / away) if away > 0 else 1.0
+    return found
 
 
 def _left(stretches: Sequence[CommandedStretch], motions: Sequence[FreeMotion]) -> list[np.ndarray]:
@@ -179,7 +235,8 @@ def missed(stretch: CommandedStretch, motion: FreeMotion) -> np.ndarray:
 def _bounded_step(
     matrix: np.ndarray, side: np.ndarray, weight: float, basis: np.ndarray, table: np.ndarray
 ) -> np.ndarray:
-    """The damped step; numbers that are zero and would fall stay there."""
+    """The damped step; numbers and a mass that are zero and would fall stay there."""
+    bounded = np.arange(len(table)) < len(table) - _LOAD + 1
     free = np.ones(len(matrix), dtype=bool)
     for _ in range(len(matrix)):
         at = np.flatnonzero(free)
@@ -188,7 +245,7 @@ def _bounded_step(
         some = some * np.outer(unit, unit) + weight * np.eye(len(at))
         step = np.zeros(len(matrix))
         step[at] = unit * np.linalg.solve(some, unit * side[at])
-        below = (table <= 0) & (basis @ step < 0)
+        below = bounded & (table <= 0) & (basis @ step < 0)
         stopped = np.any(basis[below] != 0, axis=0) & free
         if not stopped.any():
             break
@@ -197,10 +254,11 @@ def _bounded_step(
 
 
 def _run(simulator: FreeSimulator, table: np.ndarray, stretches: Sequence[CommandedStretch]) -> list[FreeMotion] | None:
-    numbers = ServoNumbers.of_table(table.reshape(len(KINDS), -1))
+    numbers, load = ServoNumbers.of_table(table[:-_LOAD].reshape(len(KINDS), -1)), table[-_LOAD:]
+    carrying = simulator.carrying(_shape(load) @ load) if load.any() else simulator
     found = []
     for one in stretches:
-        if (motion := one.run(simulator, numbers)) is None:
+        if (motion := one.run(carrying, numbers)) is None:
             return None
         found.append(motion)
     return found

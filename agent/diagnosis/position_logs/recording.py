@@ -13,6 +13,7 @@ from agent.diagnosis.position_logs.response import LinearResponse
 from agent.diagnosis.rows.rounding import rounding_step
 from agent.model import MotionSignals, NominalModel
 from agent.recording import Log
+from agent.robot import ParameterLayout
 from agent.simulators import FreeMotion, FreeSimulator, RecordedCommand, ServoNumbers
 
 _STEP = 5e-3  # s, at most, between the instants of the linearised motion
@@ -98,6 +99,12 @@ class LinearisedMotion:
             block = np.column_stack([part[:, j] for part in parts])
             found[:, :, j::n] = self.response.of_torque({j: block})
         return found
+
+    def load_columns(self, shape: np.ndarray) -> np.ndarray:
+        """(S', n, K) change of the judged positions with parameters of the last link, `shape` (10, K) per unit."""
+        robot = self.signals.reference.robot
+        torque = self.signals.standard[:, :, ParameterLayout.of(robot).link(robot.dof - 1)] @ shape
+        return self.response.of_torque({j: torque[:, j] for j in range(robot.dof)})
 
 
 def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tuple[CommandedStretch, ...]:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.fitting import OutputErrorFit, missed, rounding_error, usual_twist
+from agent.diagnosis.position_logs.fitting import OutputErrorFit, missed, rounding_error, usual_twist, with_link
 from agent.diagnosis.position_logs.recording import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of, segments_of
 from agent.diagnosis.rows.fit import Fit
@@ -37,7 +37,8 @@ def assemble_positions(
     at = replace(
         arm, armature=found.numbers.armature, frictionloss=found.numbers.friction, damping=found.numbers.damping
     )
-    fitted = replace(model_of(at, bare, dict(model.provenance)), held_out_rmse=error, residual_rmse=error)
+    fitted = with_link(model_of(at, bare, dict(model.provenance)), found.load)
+    fitted = replace(fitted, held_out_rmse=error, residual_rmse=error)
     reference = NominalModel(fitted)
     count = len(model.independent)
     away = np.concatenate(
@@ -80,7 +81,7 @@ def assemble_positions(
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
     file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
-    servos = ServoParameters(covariance, given.kp, _USUAL_DELAY, file)
+    servos = ServoParameters(covariance, given.kp, _USUAL_DELAY, file, step=found.simulator.step)
     return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
 
 

@@ -26,6 +26,7 @@ from agent.simulators import FreeSimulator, Simulator
 _ROUGH, _FINE = 0.05, 1e-3  # of the cost: a fit gains less in its last round
 _INDEPENDENT = 0.1  # s between independent rows, as in `Fit`
 _CHANCE = 1.92  # of a log-likelihood: χ² of one number at 95 %, halved (Wilks)
+_CHANCE_OF_LOAD = 4.74  # the same of four numbers
 _SETTLED = 4.0  # time constants of a servo, after which 2 % of a start is left
 _SETTLES = 1.0  # s at most
 _REVERSALS = 2  # of a joint, below which its numbers are not told
@@ -83,6 +84,7 @@ def search_positions(
     free, reference = FreeSimulator(simulator.arm), NominalModel(simulator.model)
     progress("running the simulator under the recorded command")
     found, how, later = _fitted(free, reference, logs, progress, known_kp)
+    found = _loaded(found, reference, progress, known_kp)
     dataset = assemble_positions(found, simulator.arm, simulator.model, logs)
     if dataset.servos is not None:
         dataset = replace(dataset, servos=replace(dataset.servos, kp_known=known_kp, later=later))
@@ -120,11 +122,31 @@ def _fitted(
     if len(fits) == 1:
         return fits[0], "", 0.0
     held, smooth = fits
-    lasting = sum(float(one.time[-1] - one.time[0]) for one in held.stretches)
-    gain = lasting / _INDEPENDENT * float(np.sum(np.log(held.rmse) - np.log(smooth.rmse)))
+    gain = _gain(held, smooth)
     if gain > _CHANCE:
         return smooth, SMOOTH, 0.0
     return held, HELD, 0.0 if gain < -_CHANCE else float(np.mean(smooth.numbers.delay - held.numbers.delay))
+
+
+def _loaded(
+    found: OutputErrorFit, reference: NominalModel, progress: Callable[[str], None], known_kp: bool
+) -> OutputErrorFit:
+    """The fit with a load at the last link, where that does better than chance.
+
+    Gains, friction and rotors of all joints together imitate a load, and what follows is linear about the fit.
+    """
+    stretches, file = found.stretches, found.simulator.numbers
+    scale, kept = usual_scale(reference, found.numbers, stretches), ("kp",) if known_kp else ()
+    parameters = Parameters.create(scale, fixed=kept, load=True)
+    start = replace(file, delay=found.numbers.delay)
+    other = fit_output_error(found.simulator, reference, stretches, file, start, parameters, progress, _FINE)
+    return other if _gain(found, other) > _CHANCE_OF_LOAD else found
+
+
+def _gain(found: OutputErrorFit, other: OutputErrorFit) -> float:
+    """Log-likelihood that another fit gains, where the error of each joint is unknown."""
+    lasting = sum(float(one.time[-1] - one.time[0]) for one in found.stretches)
+    return lasting / _INDEPENDENT * float(np.sum(np.log(found.rmse) - np.log(other.rmse)))
 
 
 def _frame(stretches: Sequence[CommandedStretch]) -> float:

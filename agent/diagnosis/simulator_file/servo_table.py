@@ -27,6 +27,9 @@ def servo_table(found: Explanation) -> dict[str, Any]:
 
     The interval is the wider of the posterior's with all drives free, and of what leaving motions out, and halves of
     them, gives (delete-a-group jackknife). A joint whose gain positions do not tell has ratios only, and no numbers.
+
+    A simulation in steps of h does not tell more: a command arrives within ± h / 2, and implicit damping d, as in the
+    file's simulator, counts as h d of inertia. An arm, and a simulator with explicit damping, may have as much more.
     """
     dataset, fit = found.dataset, found.selected.fit
     names, servos = dataset.robot.joint_names, dataset.servos
@@ -40,13 +43,15 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     spread = _NORMAL * _deviations(dataset, drives, inverse[:p, :p])
     for folds in (wide.folds, wide.single):
         spread = np.maximum(spread, _jackknife(np.stack([_numbers(dataset, drives, wide.fitted(f)[0]) for f in folds])))
+    spread[-1] = np.maximum(spread[-1], 0.5 * servos.step)
+    more = {"delay_s": np.full(len(names), servos.later), "armature": servos.step * values[1]}
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, half in zip(SERVO_NUMBERS, values, spread, strict=True):
-        later = servos.later if kind == "delay_s" else 0.0
+        above = more.get(kind, np.zeros(len(names)))
         table[kind] = tuple(
             None
             if kind != "delay_s" and k in doubtful
-            else (float(row[k]), float(max(row[k] - half[k], 0.0)), float(row[k] + half[k] + later))
+            else (float(row[k]), float(max(row[k] - half[k], 0.0)), float(row[k] + half[k] + above[k]))
             for k in range(len(names))
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
