@@ -34,6 +34,8 @@ _SAME_LENGTH = 0.01
 _SHOWN, _SHOWN_VALUES = 40, 8
 #: With more rows a second, whole seconds lack their fractions.
 _ROWS_A_SECOND = 5
+#: Squared correlation from which a moment is a current times a constant; of constants, less is rounding.
+_PROPORTIONAL, _ROUNDED = 0.999, 0.02
 #: Latest time that a header stamp can hold [s].
 _LATEST = 2.0**31
 
@@ -353,6 +355,8 @@ class Source:
         described = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self.robot.joints]
         given = self._per_joint("effort.torque_constant", columns.torque_constant or described)
         constants = np.array(given, dtype=float)
+        if self.mapping.preset:
+            constants = self._constants_of_file(columns, constants)
         if missing := self._missing(constants):
             if self.mapping.preset:
                 self.notes.append(f"currents are kept on {CURRENTS}; torques need the torque_constant of {missing}")
@@ -361,6 +365,32 @@ class Source:
         if self.mapping.preset:
             used = ", ".join(f"{constant:g}" for constant in constants)
             self.notes.append(f"torques are currents times the torque constants {used} N·m/A (motor side)")
+        return constants
+
+    def _constants_of_file(self, columns: EffortColumns, described: np.ndarray) -> np.ndarray:
+        """(n,) torque constants [N·m/A, motor side]: moment over current of the plan where they are in proportion."""
+        constants = described.copy()
+        for joint, name in enumerate(columns.columns):
+            current, moment = (
+                next((c for table in self.tables if (c := table.column(str(name).replace(*words))) is not None), None)
+                for words in (("actual", "target"), ("actual_current", "target_moment"))
+            )
+            if current is None or moment is None or len(current) != len(moment):
+                continue
+            known = np.isfinite(current) & np.isfinite(moment)
+            square, both = float(np.sum(current[known] ** 2)), float(current[known] @ moment[known])
+            if both**2 > _PROPORTIONAL * square * float(np.sum(moment[known] ** 2)) > 0:
+                constants[joint] = both / square / self.robot.gear_ratios[joint]
+        others = [
+            f"{name} {own:.3g} instead of {ours:.3g}"
+            for name, own, ours in zip(self.robot.joint_names, constants, described, strict=True)
+            if abs(own - ours) > _ROUNDED * abs(ours)
+        ]
+        if others:
+            self.notes.append(
+                f"torque constants [N·m/A] by target_moment over target_current of this file, as they contradict those "
+                f"of the description: {', '.join(others)}"
+            )
         return constants
 
     def _per_joint(self, key: str, values: Sequence[Any]) -> list[Any]:

@@ -18,9 +18,12 @@ Q = np.column_stack([0.3 * (k + 1) * np.sin(2 * (T - T[0]) + k) for k in range(6
 CURRENT = np.column_stack([np.cos((k + 1) * (T - T[0])) for k in range(6)])
 
 
-def _write(path: Path, separator: str, state: np.ndarray, left_out: str = "", repeats: bool = False) -> Path:
+def _write(
+    path: Path, separator: str, state: np.ndarray, left_out: str = "", repeats: bool = False, **more: np.ndarray
+) -> Path:
     names, columns = ["timestamp"], [T]
-    for name, values in (("target_q", Q + 0.01), ("actual_q", Q), ("actual_qd", Q), ("actual_current", CURRENT)):
+    own = {"target_q": Q + 0.01, "actual_q": Q, "actual_qd": Q, "actual_current": CURRENT, **more}
+    for name, values in own.items():
         if name != left_out:
             names += [f"{name}_{k}" for k in range(6)]
             columns += [*values.T]
@@ -50,6 +53,23 @@ def taken(tmp_path: Path):
         return read_log(tmp_path / "out.mcap", description), "\n".join(notes), _topics(tmp_path / "out.mcap")
 
     return run
+
+
+@pytest.mark.parametrize("robot", [WITH_CONSTANTS, WITHOUT])
+def test_constants_of_the_recording_win_over_those_of_the_description(taken, tmp_path, robot):
+    """Those of a wrist by 2.1; of a joint without proportion, that of the description."""
+    own = np.array([11.976, 11.976, 9.839, 10.764, 10.764, 22.6])
+    moment = CURRENT * own
+    if robot == WITH_CONSTANTS:
+        moment = np.column_stack([moment[:, :4], Q[:, 4], moment[:, 5]])
+    table = _write(tmp_path / "rec.csv", ",", np.full(500, 2), target_current=CURRENT, target_moment=moment)
+    log, notes, _ = taken(table, robot)
+    gears = load_robot(robot).gear_ratios
+    np.testing.assert_allclose(log.effort, CURRENT * own, rtol=1e-4, atol=1e-3 * np.abs(gears).max())
+    said = "torque constants [N·m/A] by target_moment over target_current of this file"
+    assert (said in notes) == (robot == WITH_CONSTANTS)
+    if robot == WITH_CONSTANTS:
+        assert notes.partition(said)[2].splitlines()[0].endswith("description: joint_6 22.6 instead of 10.8")
 
 
 RUNNING = np.where((np.arange(500) >= 100) & (np.arange(500) < 400), 2, 1)
