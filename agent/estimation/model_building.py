@@ -15,14 +15,13 @@ from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import paper_terms
 from agent.estimation.uncertainty import covariance, parameter_prior, silent_directions
-from agent.model import IdentifiedModel, Reversal, condition_text
+from agent.model import RESTS, IdentifiedModel, Reversal, condition_text
 from agent.recording import Log, machines_of
 
 _BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
 _TOO_FAST = 2.0  # times a joint's highest speed by the robot description
 _NAMED = 8  # parameters of directions that are not in the data
-_RESTING = 1e-4  # s, in which a joint at its highest speed moves as far as one that rests may
 
 
 def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[Log]) -> IdentifiedModel:
@@ -59,6 +58,7 @@ def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[L
             "open_directions": len(silent),
         },
     )
+    model = replace(model, values=np.where(model.unmoved, problem.prior.mean, model.values))
     return replace(model, notes=tuple(_notes(model, problem, found, silent)))
 
 
@@ -160,7 +160,7 @@ def _doubts(observation: Observation) -> Iterator[str]:
     motions = (segment.motion for segment in observation.segments)
     extremes = np.array([(m.q.min(axis=0), m.q.max(axis=0), np.abs(m.qd).max(axis=0)) for m in motions])
     travelled = extremes[:, 1].max(axis=0) - extremes[:, 0].min(axis=0)
-    resting = np.flatnonzero(travelled <= _RESTING * robot.max_velocity)
+    resting = np.flatnonzero(travelled <= RESTS * robot.max_velocity)
     if len(resting):
         names = ", ".join(robot.joint_names[k] for k in resting)
         yield (
@@ -171,7 +171,7 @@ def _doubts(observation: Observation) -> Iterator[str]:
     least = SLIDES * np.abs(qd).max(axis=0)
     forth, back = np.sum(qd > least, axis=0), np.sum(qd < -least, axis=0)
     one_way = np.minimum(forth, back) < SELDOM * (forth + back)
-    for k in np.flatnonzero(one_way & (travelled > _RESTING * robot.max_velocity)):
+    for k in np.flatnonzero(one_way & (travelled > RESTS * robot.max_velocity)):
         yield (
             f"{robot.joint_names[k]} goes one way only: its friction and an offset of its torque are the same there; "
             "run it both ways"

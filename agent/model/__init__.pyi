@@ -28,7 +28,12 @@ from .known_load import (
     payload_of as payload_of,
     payload_text as payload_text,
 )
-from .regimes import REGIMES as REGIMES, regime_masks as regime_masks, standstill_speed as standstill_speed
+from .regimes import (
+    REGIMES as REGIMES,
+    RESTS as RESTS,
+    regime_masks as regime_masks,
+    standstill_speed as standstill_speed,
+)
 from .rigid_friction import (
     HealthyEffect as HealthyEffect,
     ModelEffect as ModelEffect,

@@ -14,6 +14,7 @@ import numpy as np
 from agent.core import InputError, first_fault, read_json, write_atomically
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.model_file import ModelDocument, check_model
+from agent.model.regimes import RESTS
 from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
 from agent.robot import RobotDescription
 
@@ -40,6 +41,23 @@ class IdentifiedModel(RigidFrictionModel):
     def standard_deviations(self) -> np.ndarray:
         """(p,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def unmoved(self) -> np.ndarray:
+        """(p,) bool: friction and rotors, each alone in its parameter, of axles that stood still in the fit's logs.
+
+        They are what was held before the data.
+        """
+        found = np.zeros(len(self.values), dtype=bool)
+        if "range" not in self.provenance:
+            return found
+        travelled = np.subtract(*(np.array(self.provenance["range"][key]) for key in ("highest", "lowest")))
+        still = (self.robot.coupling != 0) @ (travelled > RESTS * self.robot.max_velocity) == 0
+        first, b = len(self.standard_names) - self.robot.dof, len(self.independent)  # rotors come last
+        for row, (combined, parameter) in enumerate(zip(self.projection, self.independent, strict=True)):
+            found[row] = parameter >= first and np.count_nonzero(combined) == 1 and still[parameter - first]
+        found[b:] = [bool(still[term.axle]) and term.form != "offset" for term in self.terms]
+        return found
 
     def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
         """(S, n) joint torque [N·m] of consecutive samples (S, n) at `time` (S,) [s], which only effects may need.
@@ -86,7 +104,7 @@ class IdentifiedModel(RigidFrictionModel):
 
     def rows(self) -> list[tuple[str, ...]]:
         """Table of parameters like the paper's Table I, and what was held of them before the data; header first."""
-        deviations = self.standard_deviations
+        deviations, unmoved = self.standard_deviations, self.unmoved
         before = ("prior mean", "prior std. dev.", "from the data [%]")
         rows: list[tuple[str, ...]] = [("parameter", "value", "std. dev.", "rel. [%]", "unit", "stands for", *before)]
         for k, name in enumerate(self.names):
@@ -94,6 +112,9 @@ class IdentifiedModel(RigidFrictionModel):
             unit = _standard_unit(name) if k < b else self._term_unit(self.terms[k - b])
             meaning = self.combinations[k] if k < b else self._term_meaning(self.terms[k - b])
             value, deviation = self.values[k], deviations[k]
+            if unmoved[k]:
+                rows.append((name, "-", "-", "-", unit, f"{meaning} (stood still)", *self._prior_cells(k)))
+                continue
             relative = f"{100 * deviation / abs(value):.1f}" if deviation < 10 * abs(value) else ">1000"
             rows.append((name, f"{value:.5g}", f"{deviation:.2g}", relative, unit, meaning, *self._prior_cells(k)))
         return rows
@@ -127,8 +148,8 @@ class IdentifiedModel(RigidFrictionModel):
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content of the model file."""
-        deviations = self.standard_deviations
-        b = len(self.independent)
+        deviations, b = self.standard_deviations, len(self.independent)
+        known = [None if still else float(value) for value, still in zip(self.values, self.unmoved, strict=True)]
         return {
             "schema": SCHEMA,
             "robot": self.robot.to_dict(),
@@ -139,8 +160,8 @@ class IdentifiedModel(RigidFrictionModel):
                     "name": self.names[k],
                     "combination": self.combinations[k],
                     "unit": _standard_unit(self.names[k]),
-                    "value": float(self.values[k]),
-                    "standard_deviation": float(deviations[k]),
+                    "value": known[k],
+                    "standard_deviation": None if known[k] is None else float(deviations[k]),
                 }
                 for k in range(b)
             ],
@@ -152,8 +173,8 @@ class IdentifiedModel(RigidFrictionModel):
                     "reversal": None if term.reversal is None else asdict(term.reversal),
                     "fading": term.fading,
                     "unit": self._term_unit(term),
-                    "value": float(self.values[b + k]),
-                    "standard_deviation": float(deviations[b + k]),
+                    "value": known[b + k],
+                    "standard_deviation": None if known[b + k] is None else float(deviations[b + k]),
                 }
                 for k, term in enumerate(self.terms)
             ],
@@ -216,7 +237,9 @@ class IdentifiedModel(RigidFrictionModel):
         """The inverse of `to_dict`."""
         robot = _robot(data["robot"])
         base, friction = data["base_parameters"], data["friction"]
-        values = np.array([entry["value"] for entry in [*base, *friction]], dtype=float)
+        values = np.array([entry["value"] for entry in [*base, *friction]], dtype=float)  # null: not in the data
+        held = 0.0 if data.get("prior") is None else np.array(data["prior"]["mean"], dtype=float)
+        values = np.where(np.isnan(values), held, values)
         condition = data["condition_number"]
         model = cls(
             robot=robot,

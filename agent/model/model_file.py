@@ -41,7 +41,7 @@ class _Filter(_Part):
 
 class _BaseParameter(_Part):
     combination: str
-    value: _Number
+    value: _Number | None
 
 
 class _Reversal(_Part):
@@ -54,7 +54,7 @@ class _Friction(_Part):
     form: str
     reversal: _Reversal | None
     fading: _Number | None
-    value: _Number
+    value: _Number | None
 
 
 class _Effect(_Part):

@@ -14,6 +14,8 @@ REGIMES = (
 _STANDSTILL = 0.004  # of the highest speed seen on the joint
 #: Of the arm's speed, over what the joints are able to: a joint that is never faster is judged by this one.
 _OF_ARM = 0.2
+#: Seconds in which a joint at its highest speed moves as far as one that rests may.
+RESTS = 1e-4
 _RESTING = 1e-6  # of its highest speed at all: round-off in a channel that is constant
 _NEAR_REVERSAL = 0.15  # s
 _LOW, _HIGH = 0.1, 0.6  # of the highest speed seen

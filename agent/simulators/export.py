@@ -83,6 +83,7 @@ def _missing(numbers: NumbersOfModel, rotors: np.ndarray, lines: np.ndarray) -> 
         yield numbers.note
     if missing := list(left_out(model, lines)):
         yield f"the files do not have: {'; '.join(missing)}"
+    yield from assumed(model)
     turning = np.abs(usual_motion(model.robot)[3] @ rotor_mass_matrix(model.robot, rotors)).max(axis=0)
     worst = int(np.argmax(turning))
     if turning[worst] > 0:
@@ -99,6 +100,13 @@ def _missing(numbers: NumbersOfModel, rotors: np.ndarray, lines: np.ndarray) -> 
     if np.linalg.norm(np.cross(model.robot.gravity, (0.0, 0.0, 1.0))) > 0:
         gravity = ", ".join(f"{value:.6g}" for value in model.robot.gravity)
         yield f"gravity is ({gravity}) m/s²: URDF and SDF leave it to the simulator's world, so set it there"
+
+
+def assumed(model: IdentifiedModel) -> Iterator[str]:
+    """What no log of the fit says."""
+    axles = {term.axle for k, term in enumerate(model.terms) if model.unmoved[len(model.independent) + k]}
+    if names := ", ".join(model.robot.joint_names[axle] for axle in sorted(axles)):
+        yield f"{names} stood still in the logs: friction and rotor inertia there are not measured, set your own"
 
 
 def export_table(model: IdentifiedModel, folder: Path) -> tuple[Path, ...]:
@@ -249,11 +257,12 @@ def friction_data(model: IdentifiedModel, rotors: np.ndarray, lines: np.ndarray)
     """Content of friction.json: rotors, coupling, every friction term, and effects that no file of these has."""
     robot = model.robot
     terms: list[list[dict[str, Any]]] = [[] for _ in robot.joints]
-    for term, value in zip(model.terms, model.friction_values, strict=True):
+    unmoved = model.unmoved[len(model.independent) :]
+    for term, value, still in zip(model.terms, model.friction_values, unmoved, strict=True):
         terms[term.axle].append(
             {
                 "form": term.form,
-                "value": float(value),
+                "value": None if still else float(value),
                 "unit": term.unit(robot.joints[term.axle].prismatic),
                 "reversal": None if term.reversal is None else asdict(term.reversal),
                 "fading": term.fading,
@@ -296,6 +305,7 @@ def _notes(model: IdentifiedModel) -> Iterable[str]:
     )
     if np.any(model.robot.coupling - np.diag(np.diag(model.robot.coupling))):
         yield "A URDF cannot describe coupled friction: the friction of a coupled axle is that of its own joint."
+    yield from assumed(model)
 
 
 def friction_lines(model: IdentifiedModel) -> np.ndarray:

@@ -15,7 +15,7 @@ from agent.model import IdentifiedModel, full_parameters, possible_model
 from agent.robot import Dynamics, ParameterLayout, rotor_mass_matrix
 from agent.simulators.arm import SimulatedArm
 from agent.simulators.effect_numbers import in_numbers, left_out, torque_text
-from agent.simulators.export import body_texts, friction_lines
+from agent.simulators.export import assumed, body_texts, friction_lines
 from agent.simulators.loader import is_simulator, load_arm, load_simulator
 from agent.simulators.servos import PositionServos
 from agent.simulators.urdf import moved_links
@@ -196,6 +196,7 @@ def _of_model(
     more = [f"not in the files: {text}" for text in left_out(model, lines) if text.startswith("what friction")]
     if np.any(robot.coupling - np.diag(np.diag(robot.coupling))):
         more.append("axles are coupled: numbers of a joint are those of its own axle; the MJCF has tendons for them")
+    more += assumed(model)
     urdf, mjcf = body_texts(numbers, standard, lines)
     notes = (*filter(None, [numbers.note, far]), *more)
     return ArmNumbers(robot.name, path.name, joints, urdf, mjcf, tuple(ranges), (*own, *left), notes, step)
