@@ -59,7 +59,7 @@ class SearchResult:
         return {
             "fitness": self.fitness,
             "genome": self.loop.genome.tolist(),
-            "history": {name: [getattr(one, name) for one in self.generations] for name in names},
+            "history": {name: [getattr(generation, name) for generation in self.generations] for name in names},
             "finalists": self.finalists.tolist(),
             "evaluated": self.evaluated,
             "parameters": len(self.columns),

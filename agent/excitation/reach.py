@@ -83,8 +83,8 @@ def working_box(robot: RobotDescription) -> WorkingBox | None:
         for orientation, height, ahead in product(_DOWN, _HEIGHT, _AHEAD):
             centre = tuple(round(part * reach, 2) for part in (ahead, 0.0, height))
             size = tuple(max(round(float(shrink * reach * edge), 2), 0.01) for edge in _EDGES)
-            turn = [float(np.radians(angle)) for angle in orientation]
-            regions = ViaRegions.from_box(1, centre, size, turn, float(np.radians(cone)))
+            angles = [float(np.radians(angle)) for angle in orientation]
+            regions = ViaRegions.from_box(1, centre, size, angles, float(np.radians(cone)))
             poses = (regions.poses(genes)[0] for genes in _PLACES.values())
             if all(_complaint(kinematics, pose) is None for pose in poses):
                 return WorkingBox(centre, size, orientation, cone)

@@ -131,26 +131,26 @@ def excitation(
     limits: SetPointLimits, rate: float, share: float = 1.0, kinds: Sequence[str] = EXCITATIONS
 ) -> tuple[SetPointMotion, ...]:
     """Two motions, each with all `kinds` and from the start back to it; the second goes the other way."""
-    found = []
+    motions = []
     for number in range(_MOTIONS):
         sign = 1.0 if number % 2 == 0 else -1.0
         makers = {STEPS: _steps, CHIRP: _chirp, REVERSALS: _reversals}
         parts = [makers[kind](limits, rate, share, sign) for kind in kinds]
         rows = np.clip(limits.start + np.concatenate(parts), limits.low, limits.high)
-        found.append(SetPointMotion(f"motion_{number + 1}", tuple(kinds), np.arange(len(rows)) / rate, rows))
-    return tuple(found)
+        motions.append(SetPointMotion(f"motion_{number + 1}", tuple(kinds), np.arange(len(rows)) / rate, rows))
+    return tuple(motions)
 
 
 def _steps(limits: SetPointLimits, rate: float, share: float, sign: float) -> np.ndarray:
     """(S, n) away from the start and back, joint by joint, each followed by a rest."""
     n, time = len(limits.low), np.arange(round(_SECONDS * rate)) / rate
     size = share * np.minimum(0.15 * (limits.high - limits.low), 0.3 * limits.speed)
-    found, each = np.zeros((len(time), n)), _SECONDS / n
+    steps, each = np.zeros((len(time), n)), _SECONDS / n
     for j in range(n):
         since = time - j * each
         ramp = size[j] / limits.speed[j]
-        found[:, j] = size[j] * np.clip(np.minimum(since, 0.5 * each - since) / ramp + 0.5, 0.0, 1.0)
-    return sign * found * _faded(time)
+        steps[:, j] = size[j] * np.clip(np.minimum(since, 0.5 * each - since) / ramp + 0.5, 0.0, 1.0)
+    return sign * steps * _faded(time)
 
 
 def _chirp(limits: SetPointLimits, rate: float, share: float, sign: float) -> np.ndarray:

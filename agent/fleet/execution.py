@@ -59,9 +59,9 @@ class Summary:
             f"{self.written_bytes / 1e6:.1f} MB written",
         ]
         if self.failed:
-            statuses = Counter(one["status"] for one in self.failed)
+            statuses = Counter(failure["status"] for failure in self.failed)
             lines.append("without figures: " + ", ".join(f"{count} {status}" for status, count in statuses.items()))
-            lines += [f"  {one['run']}: {one['reason']}" for one in self.failed[:5]]
+            lines += [f"  {failure['run']}: {failure['reason']}" for failure in self.failed[:5]]
         if len(self.failed) > 5:
             lines.append("  …; all are in the column `reason`")
         return "\n".join(lines)
@@ -96,7 +96,7 @@ def run_fleet(
             with engine(len(todo)) as workers:
                 _work(todo, workers, result, summary, failed, console)
         summary.rows = result.commit()
-        summary.failed = sorted(failed.values(), key=lambda one: one["run"])
+        summary.failed = sorted(failed.values(), key=lambda failure: failure["run"])
         summary.written_bytes = result.written
         summary.seconds = time.monotonic() - began
     return summary

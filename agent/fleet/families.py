@@ -56,7 +56,7 @@ def read_columns(paths: Sequence[Path]) -> dict[str, dict[str, str]]:
     Raises:
         InputError: a table that cannot be read, or has no column `robot`.
     """
-    found: dict[str, dict[str, str]] = {}
+    columns: dict[str, dict[str, str]] = {}
     for path in paths:
         read: Any = pyarrow.parquet.read_table if path.suffix == ".parquet" else pyarrow.csv.read_csv
         try:
@@ -74,8 +74,8 @@ def read_columns(paths: Sequence[Path]) -> dict[str, dict[str, str]]:
         for name in names:
             if name != "robot":
                 values = zip(robots, table[name].to_pylist(), strict=True)
-                found[name] = {robot: str(value) for robot, value in values if value is not None}
-    return found
+                columns[name] = {robot: str(value) for robot, value in values if value is not None}
+    return columns
 
 
 def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Trend]) -> list[Family]:
@@ -86,28 +86,28 @@ def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Tren
     controlled over all these tests (Benjamini and Hochberg 1995).
     """
     tried = [
-        one
+        family
         for joint in sorted({trend.joint for trend in axles})
         for column, values in columns.items()
-        for one in _tried(column, values, joint, [trend for trend in axles if trend.joint == joint])
+        for family in _tried(column, values, joint, [trend for trend in axles if trend.joint == joint])
     ]
-    levels = false_discovery_control([one.level for one in tried]).tolist() if tried else []
-    found = [replace(one, level=level) for one, level in zip(tried, levels, strict=True)]
-    kept = [one for one in found if one.level <= RATE and abs(one.change - one.others) >= PRACTICAL]
-    return sorted(kept, key=lambda one: one.level)
+    levels = false_discovery_control([family.level for family in tried]).tolist() if tried else []
+    families = [replace(family, level=level) for family, level in zip(tried, levels, strict=True)]
+    kept = [family for family in families if family.level <= RATE and abs(family.change - family.others) >= PRACTICAL]
+    return sorted(kept, key=lambda family: family.level)
 
 
 def _tried(column: str, values: Mapping[str, str], joint: str, axles: Sequence[Trend]) -> Iterator[Family]:
     """The machines of every value of a column as a family, with the p-value of the test as level."""
-    here = np.array([values.get(one.runs.machine, "") for one in axles], dtype=object)
-    changes = np.array([one.found.drift for one in axles])
-    scores = changes / np.maximum([one.found.drift_deviation for one in axles], 1e-300)
+    here = np.array([values.get(trend.runs.machine, "") for trend in axles], dtype=object)
+    changes = np.array([trend.found.drift for trend in axles])
+    scores = changes / np.maximum([trend.found.drift_deviation for trend in axles], 1e-300)
     for value in sorted(set(here) - {""}):
         inside = here == value
         if min(inside.sum(), (~inside).sum()) < FEWEST:
             continue
-        members = [one for one, chosen in zip(axles, inside, strict=True) if chosen]
+        members = [trend for trend, chosen in zip(axles, inside, strict=True) if chosen]
         change, others = float(np.median(changes[inside])), float(np.median(changes[~inside]))
         p_value = float(ranksums(scores[inside], scores[~inside]).pvalue)
-        alarms, robots = sum(one.alarm for one in members), tuple(sorted(one.runs.machine for one in members))
+        alarms, robots = sum(trend.alarm for trend in members), tuple(sorted(trend.runs.machine for trend in members))
         yield Family(column, value, joint, len(members), alarms, change, others, p_value, robots)

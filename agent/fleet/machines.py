@@ -92,7 +92,7 @@ def read_machines(kind: str, file: Any) -> Iterator[FleetMachine]:
 
 def _figures(row: dict[str, Any], error: str) -> RunFigures:
     rates = row.get("warm_up") or ()
-    warm_up = {key: [one[key] for one in rates] for key in ("rate_per_s", "standard_deviation")}
+    warm_up = {key: [rate[key] for rate in rates] for key in ("rate_per_s", "standard_deviation")}
     return RunFigures(row["run"], row["started"], row["joints"], row[error] or (), row.get("friction") or (), warm_up)
 
 

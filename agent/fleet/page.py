@@ -42,34 +42,34 @@ def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None)
         InputError: no result, or a table that cannot be used.
         AgentError: the page cannot be written.
     """
-    found = fleet_trends(result, tables)
+    trends = fleet_trends(result, tables)
     folder, name = (result, "_report.html") if out is None else (os.path.dirname(out) or ".", os.path.basename(out))
     store = Store(folder)
-    store.put(name, _page(found, _link_base(found.source, store)).encode())
+    store.put(name, _page(trends, _link_base(trends.source, store)).encode())
     return f"{folder.rstrip('/')}/{name}"
 
 
-def _page(found: FleetTrends, base: str) -> str:
+def _page(trends: FleetTrends, base: str) -> str:
     """HTML text; links to the pages of runs begin with `base`."""
     machines = sorted(
-        (_machine(found, one, base) for one in found.machines), key=lambda one: (-one["urgency"], one["robot"])
+        (_machine(trends, one, base) for one in trends.machines), key=lambda one: (-one["urgency"], one["robot"])
     )
     data = {
-        "kind": found.kind,
-        "joints": list(dict.fromkeys(joint for one in found.machines for joint in one.joints)),
+        "kind": trends.kind,
+        "joints": list(dict.fromkeys(joint for one in trends.machines for joint in one.joints)),
         "gate": GATE,
-        "columns": list(found.tables),
+        "columns": list(trends.tables),
         "machines": machines,
-        "families": [{"text": one.text(), "robots": one.robots} for one in found.families],
+        "families": [{"text": one.text(), "robots": one.robots} for one in trends.families],
     }
     look = sum(bool(one["why"]) for one in machines)
     text = json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return filled(
         "agent.fleet",
         "fleet.html",
-        found=found,
+        found=trends,
         look=look,
-        runs=sum(len(one.runs) for one in found.machines),
+        runs=sum(len(one.runs) for one in trends.machines),
         urgent=machines[: min(look, 15)],
         script=asset("agent.fleet", "fleet.js"),
         css=asset("agent.fleet", "fleet.css"),
@@ -77,9 +77,9 @@ def _page(found: FleetTrends, base: str) -> str:
     )
 
 
-def _machine(found: FleetTrends, machine: FleetMachine, base: str) -> dict[str, Any]:
+def _machine(trends: FleetTrends, machine: FleetMachine, base: str) -> dict[str, Any]:
     weight, reasons = _urgency(machine)
-    by_joint = {one.joint: one for one in machine.trends}
+    by_joint = {trend.joint: trend for trend in machine.trends}
     axles = [by_joint.get(joint) for joint in machine.joints]
     return {
         "robot": machine.robot,
@@ -87,21 +87,21 @@ def _machine(found: FleetTrends, machine: FleetMachine, base: str) -> dict[str, 
         "why": [text[:_LONGEST] for text in reasons],
         "joints": list(machine.joints),
         "gap": [round(1e4 * float(error)) if np.isfinite(error) else None for error in machine.errors],
-        "trend": [None if one is None else round(1e4 * change_of(one)[0]) for one in axles],
-        "alarm": [int(one is not None and one.alarm) for one in axles],
-        "of": [values.get(machine.robot) for values in found.tables.values()],
+        "trend": [None if trend is None else round(1e4 * change_of(trend)[0]) for trend in axles],
+        "alarm": [int(trend is not None and trend.alarm) for trend in axles],
+        "of": [values.get(machine.robot) for values in trends.tables.values()],
         "runs": [
             [run.removeprefix(f"{machine.robot}/"), day, status, reason[:_LONGEST], base + quote(page) if page else ""]
             for run, day, status, reason, page in machine.runs
         ],
-        "courses": [_course(one) for one in machine.trends],
+        "courses": [_course(trend) for trend in machine.trends],
     }
 
 
 def _urgency(machine: FleetMachine) -> tuple[float, list[str]]:
     """The urgency of a machine, and the reasons, if any."""
-    alarms = [one for one in machine.trends if one.alarm]
-    weights, reasons = [0.0, *(_weight(machine, one) for one in alarms)], [change_text(one) for one in alarms]
+    alarms = [trend for trend in machine.trends if trend.alarm]
+    weights, reasons = [0.0, *(_weight(machine, trend) for trend in alarms)], [change_text(trend) for trend in alarms]
     worst = [(error, joint) for error, joint in zip(machine.errors, machine.joints, strict=True) if np.isfinite(error)]
     if worst:
         error, joint = max(worst)
@@ -117,28 +117,28 @@ def _urgency(machine: FleetMachine) -> tuple[float, list[str]]:
     return max(weights), reasons
 
 
-def _weight(machine: FleetMachine, one: Trend) -> float:
-    if one.quantity != "friction":
-        return float(one.values[-3:].mean()) / GATE
-    days = max(float(one.runs.days[-1] - one.runs.days[0]), 1.0)
-    change = abs(one.change) * (1 + AHEAD / days if one.kind == "drift" else 1)
-    nominal = machine.nominal[machine.joints.index(one.joint)]
+def _weight(machine: FleetMachine, trend: Trend) -> float:
+    if trend.quantity != "friction":
+        return float(trend.values[-3:].mean()) / GATE
+    days = max(float(trend.runs.days[-1] - trend.runs.days[0]), 1.0)
+    change = abs(trend.change) * (1 + AHEAD / days if trend.kind == "drift" else 1)
+    nominal = machine.nominal[machine.joints.index(trend.joint)]
     if not np.isfinite(nominal):
         return change / _LIKE_GATE
-    return change * float(np.median(one.values)) / (GATE * float(nominal))
+    return change * float(np.median(trend.values)) / (GATE * float(nominal))
 
 
-def _course(one: Trend) -> dict[str, Any]:
+def _course(trend: Trend) -> dict[str, Any]:
     """Values in hundredths of a percent over their median."""
-    middle, (_, low, high) = float(np.median(one.values)), change_of(one)
+    middle, (_, low, high) = float(np.median(trend.values)), change_of(trend)
     return {
-        "joint": one.joint,
-        "of": f"{one.quantity}{one.at}",
-        "text": change_text(one) if one.kind != "none" else f"{one.quantity}{one.at}: no change",
+        "joint": trend.joint,
+        "of": f"{trend.quantity}{trend.at}",
+        "text": change_text(trend) if trend.kind != "none" else f"{trend.quantity}{trend.at}: no change",
         "interval": [round(1e4 * low), round(1e4 * high)],
-        "level": float(f"{one.level:.2g}"),
-        "days": np.round(one.runs.days).astype(int).tolist(),
-        "values": np.round(1e4 * (one.values / middle - 1)).astype(int).tolist() if middle else [],
+        "level": float(f"{trend.level:.2g}"),
+        "days": np.round(trend.runs.days).astype(int).tolist(),
+        "values": np.round(1e4 * (trend.values / middle - 1)).astype(int).tolist() if middle else [],
     }
 
 

@@ -97,10 +97,10 @@ def open_rows(url: str, folder: Path) -> ResultRows:
         InputError: it is no result.
         StoreError: the store does not answer.
     """
-    found = _find_rows(Store(url), folder)
-    if found is None:
+    file = _find_rows(Store(url), folder)
+    if file is None:
         raise InputError(f"{url}: no result of a fleet (there is no {ROWS}); `agent fleet estimate` makes one")
-    return found
+    return file
 
 
 def _find_rows(store: Store, folder: Path) -> ResultRows | None:

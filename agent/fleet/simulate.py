@@ -99,7 +99,7 @@ def draw_fleet(machines: int, weeks: int, joints: tuple[str, ...], seed: int) ->
     scatter = SCATTER * rng.normal(size=(machines, weeks, n))
     friction = (1 + answer[:, None] * cold[..., None]) * (1 + change) * (1 + scatter)
     columns = tuple((f"cell_{k % _CELLS:02d}", str(batches[k])) for k in range(machines))
-    return Fleet(names, columns, tuple(sorted(planted, key=lambda one: one.robot)), friction, cold, answer)
+    return Fleet(names, columns, tuple(sorted(planted, key=lambda change: change.robot)), friction, cold, answer)
 
 
 def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, rows: bool) -> list[str]:

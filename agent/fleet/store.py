@@ -77,11 +77,11 @@ class Store:
         """
         self._fs.invalidate_cache()
         with self._told("listed"):
-            found = self._fs.find(self._root, detail=True)
-            if not found and not self._fs.isdir(self._root):
+            details = self._fs.find(self._root, detail=True)
+            if not details and not self._fs.isdir(self._root):
                 raise InputError(f"{self.url}: no such folder, or nothing in it")
-        for full in sorted(found):
-            path, entry = full[len(self._root) :].lstrip("/"), found[full]
+        for full in sorted(details):
+            path, entry = full[len(self._root) :].lstrip("/"), details[full]
             if path and not any(part.startswith((".", "_")) for part in path.split("/")):
                 yield StoredFile(path, int(entry["size"]), _stamp(entry))
 
@@ -140,10 +140,10 @@ class Store:
         self._fs.invalidate_cache()
         try:
             with self._told("listed", folder):
-                found = self._fs.ls(f"{self._root}/{folder}", detail=False)
+                paths = self._fs.ls(f"{self._root}/{folder}", detail=False)
         except FileNotFoundError:
             return []
-        return sorted(name for full in found if not (name := PurePosixPath(full).name).startswith("."))
+        return sorted(name for full in paths if not (name := PurePosixPath(full).name).startswith("."))
 
     def remove(self, path: str) -> None:
         """Delete a file, if it is there."""

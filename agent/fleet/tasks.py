@@ -93,7 +93,7 @@ class Task:
     @property
     def files(self) -> tuple[StoredFile, ...]:
         """All its files in the store."""
-        return (*self.logs, *(one for one in (self.description, self.model, self.state) if one is not None))
+        return (*self.logs, *(path for path in (self.description, self.model, self.state) if path is not None))
 
 
 @dataclass(frozen=True)
@@ -198,9 +198,9 @@ def _whose(store: Store, folder: str, described: StoredFile | None, state: Store
         # a state that is none says nothing of the run
         with contextlib.suppress(ValueError, RecursionError, AttributeError, FileNotFoundError):
             told = json.loads(store.read(state.path))
-            found = told.get("serial") or told.get("robot")
-            if isinstance(found, str):
-                return found
+            machine = told.get("serial") or told.get("robot")
+            if isinstance(machine, str):
+                return machine
     return folder if folder != "." else PurePosixPath(store.url.rstrip("/")).name
 
 

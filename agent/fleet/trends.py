@@ -54,7 +54,7 @@ class FleetTrends:
     @property
     def alarms(self) -> list[Trend]:
         """The surest first."""
-        return sorted((one for one in self.axles if one.alarm), key=lambda one: one.probability)
+        return sorted((trend for trend in self.axles if trend.alarm), key=lambda trend: trend.probability)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data; axles without an alarm only by their number."""
@@ -65,8 +65,8 @@ class FleetTrends:
             "too_few_runs": self.short,
             "series": len(self.axles),
             "false_discovery_rate": RATE,
-            "alarms": [_plain(one) for one in self.alarms],
-            "families": [{**one.__dict__, "robots": list(one.robots)} for one in self.families],
+            "alarms": [_plain(trend) for trend in self.alarms],
+            "families": [{**trend.__dict__, "robots": list(trend.robots)} for trend in self.families],
         }
 
     def text(self) -> str:
@@ -76,29 +76,29 @@ class FleetTrends:
             f"{len(self.machines)} machines, {len(axles)} axles with at least {FEWEST} runs; {len(alarms)} alarms, "
             f"of which {100 * RATE:g} % are expected to be chance"
         ]
-        lines += [f"{one.runs.machine}: {change_text(one)}" for one in alarms[:50]]
+        lines += [f"{trend.runs.machine}: {change_text(trend)}" for trend in alarms[:50]]
         if len(alarms) > 50:
             lines.append(f"… and {len(alarms) - 50} more: --json, or `agent fleet report`")
-        lines += [f"family: {one.text()}" for one in self.families]
+        lines += [f"family: {trend.text()}" for trend in self.families]
         return "\n".join(lines)
 
 
-def change_of(one: Trend) -> tuple[float, float, float]:
+def change_of(trend: Trend) -> tuple[float, float, float]:
     """Relative change of an axle over its runs, significant or not, and its 95 % interval."""
-    size, half = one.found.size, float(stdtrit(len(one.values) - 3, 0.975)) * one.found.deviation
+    size, half = trend.found.size, float(stdtrit(len(trend.values) - 3, 0.975)) * trend.found.deviation
     change, low, high = np.expm1(np.clip([size, size - half, size + half], -20, 20)).tolist()
     return change, low, high
 
 
-def change_text(one: Trend) -> str:
+def change_text(trend: Trend) -> str:
     """The change of an axle, in one sentence."""
-    change, low, high = change_of(one)
+    change, low, high = change_of(trend)
     over = f"{100 * change:+.1f} % ({100 * low:+.1f} to {100 * high:+.1f})"
-    what = f"{one.joint}: {one.quantity}{one.at}"
-    if one.kind == "step":
-        date = one.runs.dates[one.found.place - 1]
-        return f"{what} stepped by {over} after {one.since if date is None else date.date()}"
-    return f"{what} drifts, {over} over {one.runs.days[-1] - one.runs.days[0]:.0f} days"
+    what = f"{trend.joint}: {trend.quantity}{trend.at}"
+    if trend.kind == "step":
+        date = trend.runs.dates[trend.found.place - 1]
+        return f"{what} stepped by {over} after {trend.since if date is None else date.date()}"
+    return f"{what} drifts, {over} over {trend.runs.days[-1] - trend.runs.days[0]:.0f} days"
 
 
 def fleet_trends(result: str, tables: Sequence[Path] = ()) -> FleetTrends:
@@ -114,16 +114,16 @@ def fleet_trends(result: str, tables: Sequence[Path] = ()) -> FleetTrends:
             raise InputError(
                 f"{result}: holds {rows.kind}; name the result of an estimate, a validation or a diagnosis"
             )
-        found = FleetTrends(rows.kind, result, rows.source, list(read_machines(rows.kind, rows.file)), tables=columns)
-    axles = found.axles
-    levels = false_discovery_control([one.probability for one in axles]).tolist() if axles else []
-    for one, level in zip(axles, levels, strict=True):
-        one.level, one.significant = level, level <= RATE
-    found.families = find_families(columns, axles)
-    return found
+        trends = FleetTrends(rows.kind, result, rows.source, list(read_machines(rows.kind, rows.file)), tables=columns)
+    axles = trends.axles
+    levels = false_discovery_control([trend.probability for trend in axles]).tolist() if axles else []
+    for trend, level in zip(axles, levels, strict=True):
+        trend.level, trend.significant = level, level <= RATE
+    trends.families = find_families(columns, axles)
+    return trends
 
 
-def write_trends(found: FleetTrends, out: str) -> None:
+def write_trends(trends: FleetTrends, out: str) -> None:
     """Write all axles as Parquet, one row each, with the columns of the tables.
 
     Raises:
@@ -131,10 +131,10 @@ def write_trends(found: FleetTrends, out: str) -> None:
         AgentError: it cannot be written.
     """
     rows = []
-    for one in found.axles:
-        row = _plain(one)
+    for trend in trends.axles:
+        row = _plain(trend)
         row["low"], row["high"] = row.pop("interval")
-        rows.append(row | {name: values.get(one.runs.machine) for name, values in found.tables.items()})
+        rows.append(row | {name: values.get(trend.runs.machine) for name, values in trends.tables.items()})
     with swept_folder(SCRATCH) as folder:
         if is_result(out) and open_rows(out, folder).kind != "trends":
             raise InputError(f"{out}: holds a result of another kind; name another folder with -o")
@@ -144,19 +144,19 @@ def write_trends(found: FleetTrends, out: str) -> None:
         Store(out).put(ROWS, path)
 
 
-def _plain(one: Trend) -> dict[str, Any]:
+def _plain(trend: Trend) -> dict[str, Any]:
     """An axle as plain data, without its course."""
-    change, *interval = change_of(one)
+    change, *interval = change_of(trend)
     return {
-        "robot": one.runs.machine,
-        "joint": one.joint,
-        "quantity": f"{one.quantity}{one.at}",
-        "runs": len(one.values),
-        "kind": one.kind,
+        "robot": trend.runs.machine,
+        "joint": trend.joint,
+        "quantity": f"{trend.quantity}{trend.at}",
+        "runs": len(trend.values),
+        "kind": trend.kind,
         "change": change,
         "interval": interval,
-        "since": one.since or None,
-        "probability_by_chance": one.probability,
-        "false_discovery_level": one.level,
-        "alarm": one.alarm,
+        "since": trend.since or None,
+        "probability_by_chance": trend.probability,
+        "false_discovery_level": trend.level,
+        "alarm": trend.alarm,
     }

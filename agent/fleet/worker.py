@@ -183,7 +183,7 @@ def _estimate(question: RunQuestion, robot: Any, logs: list[Path], notes: Notes)
 
 def _conditions(model: IdentifiedModel, logs: list[Log]) -> dict[str, Any]:
     """Friction and its change during the longest log, as a run folder has them."""
-    met = conditions(max(logs, key=lambda one: len(one.t)), model)
+    met = conditions(max(logs, key=lambda log: len(log.t)), model)
     rates = zip(*met["warm_up"].values(), strict=True) if met["cycles"] > 2 else ()
     warm_up = finite([{"rate_per_s": rate, "standard_deviation": deviation} for rate, deviation in rates])
     return {"friction": met["friction"], "warm_up": warm_up}

@@ -23,14 +23,14 @@ def with_payload(text: str, load: Tool, comment: str) -> str:
     """A program whose second line, a `comment`, names its payload, so that copies keep it."""
     from agent.model import payload_text
 
-    first, rest = text.split("\n", 1)
-    return f"{first}\n  {comment} {_COMMENT}{payload_text(load)}\n{rest}"
+    first, body = text.split("\n", 1)
+    return f"{first}\n  {comment} {_COMMENT}{payload_text(load)}\n{body}"
 
 
 def planned_load(text: str) -> str | None:
     """The payload that a program says it was planned with; None if it names none."""
-    found = re.search(rf"^  \S+ {_COMMENT}(.+)$", text, re.MULTILINE)
-    return found[1].strip() if found else None
+    comment = re.search(rf"^  \S+ {_COMMENT}(.+)$", text, re.MULTILINE)
+    return comment[1].strip() if comment else None
 
 
 def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> None:
@@ -42,9 +42,9 @@ def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> Non
     mounted = 0.0 if tool is None else tool.mass
     rated = robot.rated_payload
     if rated is not None and load.mass + mounted > rated:
-        beside = f" and {mounted:g} kg of tool" if mounted else ""
+        of_tool = f" and {mounted:g} kg of tool" if mounted else ""
         raise InputError(
-            f"payload: {load.mass:g} kg{beside} at the flange are more than the {rated:g} kg that {robot.name} is "
+            f"payload: {load.mass:g} kg{of_tool} at the flange are more than the {rated:g} kg that {robot.name} is "
             "rated for (rated_payload of its description): mount a lighter mass"
         )
 
@@ -86,7 +86,7 @@ def _plan_of(program: Path, text: str) -> dict[str, Any]:
         return {}
     try:
         planned = json.loads(path.read_text(encoding="utf-8"))
-        beside = Path(planned["program"]).name == program.name
+        is_planned = Path(planned["program"]).name == program.name
         sha256, load = planned[PROGRAM_SHA256], planned.get(PAYLOAD)
         whole = (
             planned["schema"] == SCHEMA
@@ -96,9 +96,9 @@ def _plan_of(program: Path, text: str) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; plan the motion again, or move it away") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, InputError):
-        whole = beside = True
+        whole = is_planned = True
         sha256 = None
-    if not beside:
+    if not is_planned:
         return {}
     if not whole or not isinstance(sha256, str):
         raise InputError(

@@ -100,8 +100,8 @@ def check_cell(recipe: Recipe, trajectory: Trajectory) -> None:
     Raises:
         InputError: names where, what touches what, and how deep.
     """
-    if (found := _in_cell(recipe, trajectory).collision) is not None:
-        raise InputError(f"{found}: move or shrink motion.via_points")
+    if (collision := _in_cell(recipe, trajectory).collision) is not None:
+        raise InputError(f"{collision}: move or shrink motion.via_points")
 
 
 def _in_cell(recipe: Recipe, trajectory: Trajectory) -> CellReport:

@@ -50,7 +50,7 @@ def create_dialect(name: str) -> Dialect:
 
 def dialect_of(program: Path) -> Dialect | None:
     """The dialect of a program file, by its suffix; None where it is none."""
-    return next((one for one in dialects() if one.suffix == program.suffix.lower()), None)
+    return next((dialect for dialect in dialects() if dialect.suffix == program.suffix.lower()), None)
 
 
 def dialects() -> tuple[Dialect, ...]:
@@ -76,10 +76,10 @@ def create_interpolator(name: str, robot: RobotDescription, tool: Tool | None = 
         name = "fly"
     if name in _INTERPOLATORS:
         return _loaded(_INTERPOLATORS[name])(robot, tool, **options)
-    found = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
-    if found is None:
+    entry_point = next((entry for entry in entry_points(group=ENTRY_POINTS) if entry.name == name), None)
+    if entry_point is None:
         raise InputError(f"interpolator {name!r} is not known; there are: {', '.join(interpolator_names())}")
-    return found.load()(robot, tool, **options)
+    return entry_point.load()(robot, tool, **options)
 
 
 def _loaded(place: str) -> Any:

@@ -160,11 +160,11 @@ def render(page: Page) -> str:
 
 def _identifiers(sections: Sequence[Section]) -> list[str]:
     """Unique fragment of the address of a section."""
-    found: list[str] = []
+    identifiers: list[str] = []
     for section in sections:
         name = re.sub(r"[^a-z0-9]+", "-", section.title.lower()).strip("-") or "section"
-        found.append(name if name not in found else f"{name}-{len(found)}")
-    return found
+        identifiers.append(name if name not in identifiers else f"{name}-{len(identifiers)}")
+    return identifiers
 
 
 def _part(part: Table | Plot | Scene) -> dict[str, Any]:
@@ -199,11 +199,11 @@ def table_html(table: Table) -> str:
 
 def _scales(table: Table) -> dict[tuple[type, str], tuple[float, float]]:
     """Least and largest value of the shades and bars of each unit, 0 among them."""
-    found: dict[tuple[type, str], list[float]] = {}
+    columns: dict[tuple[type, str], list[float]] = {}
     for cell in (cell for row in table.rows for cell in row if not isinstance(cell, str)):
         places = cell.places if isinstance(cell, Bars) else [abs(cell.value)]
-        found.setdefault((type(cell), cell.unit), [0.0]).extend(filter(math.isfinite, places))
-    return {key: (min(places), max(places) if max(places) > min(places) else 1.0) for key, places in found.items()}
+        columns.setdefault((type(cell), cell.unit), [0.0]).extend(filter(math.isfinite, places))
+    return {key: (min(places), max(places) if max(places) > min(places) else 1.0) for key, places in columns.items()}
 
 
 def _text(cell: Cell) -> str:
@@ -215,10 +215,10 @@ def _uplot() -> dict[str, str]:
 
     The package is found and not imported: it would bring a notebook with it.
     """
-    found = find_spec("uplot")
-    if found is None or found.origin is None:
+    spec = find_spec("uplot")
+    if spec is None or spec.origin is None:
         return {}
-    folder = Path(found.origin).parent / "static"
+    folder = Path(spec.origin).parent / "static"
     script = (folder / "uPlot.iife.js").read_text(encoding="utf-8")
     lines = (line.strip() for line in script.splitlines())
     kept = "\n".join(line for line in lines if line and not line.startswith("//"))

@@ -59,9 +59,9 @@ def index_page(
 def _about(runs: Sequence[PastRun], current: Collection[str], alarms: Sequence[tuple[Watch, str]]) -> About:
     steps = []
     if alarms:
-        one = alarms[0][0]
-        serial = f" --serial {shlex.quote(one.serial)}" if one.serial else ""
-        command = f"agent history --robot {shlex.quote(one.robot)}{serial} --json"
+        machine = alarms[0][0]
+        serial = f" --serial {shlex.quote(machine.serial)}" if machine.serial else ""
+        command = f"agent history --robot {shlex.quote(machine.robot)}{serial} --json"
         steps.append(NextStep("all figures of that machine", command))
     identity = [
         ("runs", f"{len(runs)}, {sum(run.accepted for run in runs)} accepted"),
@@ -122,12 +122,12 @@ def _parameter_table(parameters: Sequence[Trend], number: int) -> Table:
 
 
 def _course(
-    one: Watch, parameters: Sequence[Trend], number: int, runs: Sequence[PastRun], current: Collection[str]
+    watched: Watch, parameters: Sequence[Trend], number: int, runs: Sequence[PastRun], current: Collection[str]
 ) -> Plot:
     """Friction, temperature and parameters over the dates of the runs that the trends look at."""
     by_name = {run.run: run for run in runs}
-    chosen = [by_name[figures.run] for figures in one.figures]
-    panels = [_friction(one.trends, current), *_temperatures(chosen)]
+    chosen = [by_name[figures.run] for figures in watched.figures]
+    panels = [_friction(watched.trends, current), *_temperatures(chosen)]
     for trend in parameters[:_MOST_PARAMETERS]:
         band = Series("two std. dev.", trend.values + 2 * trend.deviations, low=trend.values - 2 * trend.deviations)
         panels.append(Panel(trend.name, trend.unit, (band, Series("value", trend.values, "points"))))

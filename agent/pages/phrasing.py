@@ -320,7 +320,7 @@ def remainder_sentences(result: Mapping[str, Any]) -> Iterator[str]:
     for entry in result.get("remainder", ())[:_MOST_OTHERS]:
         marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
         where = " and ".join(REGIMES[r["name"]] for r in marked[:_MOST_REGIMES])
-        name, share = max(entry["follows"].items(), key=lambda one: one[1])
+        name, share = max(entry["follows"].items(), key=lambda entry_: entry_[1])
         shape = f"a smooth function of {name} explains {100 * share:.0f} % of it" if share > _MUCH else _NO_SHAPE
         text = f"{entry['joint']} keeps {entry['size']:.1f} times what a healthy arm may leave"
         yield f"{text}{f', mostly {where}' if where else ''}; {shape}."
@@ -365,7 +365,7 @@ def measures(result: Mapping[str, Any]) -> list[NextStep]:
 
 def diagnosis_summary(result: Mapping[str, Any]) -> str:
     """Headline, and the share of the gap that each cause closes."""
-    figures = [f"{place(cause)}: {found}." for cause in result["causes"] if (found := closes(cause, result))]
+    figures = [f"{place(cause)}: {closing}." for cause in result["causes"] if (closing := closes(cause, result))]
     return " ".join([headline(result), *figures])
 
 

@@ -83,9 +83,9 @@ class Plot:
 
     def abscissa(self, panel: Panel) -> np.ndarray:
         """(S,) of a panel."""
-        found = self.x if panel.x is None else panel.x
-        assert found is not None
-        return found
+        x = self.x if panel.x is None else panel.x
+        assert x is not None
+        return x
 
 
 def joint_series(joints: Sequence[str], values: np.ndarray, order: Sequence[int] | None = None) -> list[Series]:
@@ -131,7 +131,7 @@ def for_screen(plot: Plot) -> Plot:
 
 
 def _kept(panels: Sequence[Panel]) -> np.ndarray:
-    columns = [values for panel in panels for one in panel.series for values in (one.values, one.low)]
+    columns = [values for panel in panels for series in panel.series for values in (series.values, series.low)]
     return thinned(np.column_stack([values for values in columns if values is not None]))
 
 
@@ -190,13 +190,13 @@ def spec(plot: Plot) -> str:
             "marks": list(panel.marks.items()),
             "series": [
                 {
-                    "label": one.label,
-                    "look": one.look if one.low is None else "band",
-                    "colour": one.colour,
-                    "joint": one.joint,
-                    "dash": _DASHED if one.look == "dashed" else one.dash,
+                    "label": series.label,
+                    "look": series.look if series.low is None else "band",
+                    "colour": series.colour,
+                    "joint": series.joint,
+                    "dash": _DASHED if series.look == "dashed" else series.dash,
                 }
-                for one in panel.series
+                for series in panel.series
             ],
         }
         for panel in plot.panels

@@ -54,7 +54,7 @@ def still(plot: Plot) -> str:
 def _picture(plot: Plot, panel: Panel, wide: float, high: float) -> dict[str, Any]:
     """A panel, its scales, and its texts, grid and curves in the picture."""
     x = plot.abscissa(panel)
-    chosen = thinned(np.column_stack([one.values for one in panel.series]), _MOST_POINTS)
+    chosen = thinned(np.column_stack([series.values for series in panel.series]), _MOST_POINTS)
     outlines = list(_outlines(panel, chosen))
     across = Scale(*_extent([x[chosen]]), _LEFT, wide - _RIGHT)
     low, top = _extent([*(edge for _, pair in outlines for edge in pair), np.array(list(panel.marks.values()))])
@@ -73,10 +73,10 @@ def _picture(plot: Plot, panel: Panel, wide: float, high: float) -> dict[str, An
         grid += f"M{across.begin - 3.0:.1f} {place:.1f}H{across.end:.1f}"
         texts.append((across.begin - 5.0, place + 3.0, text, "end"))
     ways, places = [], across(x[chosen])
-    for one, (lower, upper) in outlines:
-        filled_in = one.look == "part" or one.low is not None
-        way = _area(places, up(lower), up(upper)) if filled_in else _way(places, up(upper), one.look == "points")
-        ways.append((one, way))
+    for series, (lower, upper) in outlines:
+        filled_in = series.look == "part" or series.low is not None
+        way = _area(places, up(lower), up(upper)) if filled_in else _way(places, up(upper), series.look == "points")
+        ways.append((series, way))
     return {"panel": panel, "across": across, "up": up, "texts": texts, "grid": grid, "ways": ways}
 
 
@@ -114,14 +114,14 @@ def dates(low: float, high: float, most: int) -> list[tuple[float, str]]:
 def _outlines(panel: Panel, chosen: np.ndarray) -> Iterator[tuple[Series, tuple[np.ndarray, np.ndarray]]]:
     """Every curve with its lower and upper edge, twice the same of a line."""
     above, below = np.zeros((2, len(chosen)))
-    for one in panel.series:
-        values = one.values[chosen]
-        if one.look == "part":
+    for series in panel.series:
+        values = series.values[chosen]
+        if series.look == "part":
             base = np.where(values >= 0, above, below)
-            yield one, (base, base + values)
+            yield series, (base, base + values)
             above, below = above + np.maximum(values, 0), below + np.minimum(values, 0)
         else:
-            yield one, (values if one.low is None else one.low[chosen], values)
+            yield series, (values if series.low is None else series.low[chosen], values)
 
 
 def _way(x: np.ndarray, y: np.ndarray, single: bool = False) -> str:

@@ -98,8 +98,8 @@ def joints_of(recording: Path, simulator: Path, topic: str | None = None) -> tup
     Raises:
         InputError: the recording cannot be read, or has more columns than the arm has joints.
     """
-    found = recorded_joints(recording, topic)
-    return load(simulator, most=found).joint_names if isinstance(found, int) else found
+    recorded = recorded_joints(recording, topic)
+    return load(simulator, most=recorded).joint_names if isinstance(recorded, int) else recorded
 
 
 def read_logs(
@@ -179,11 +179,11 @@ def check_one_machine(
     if allow_mixed:
         return
     for key in ("serial", "tool"):
-        found = {value: log.name for log in reversed(logs) if (value := log.metadata.get(key))}
+        log_by_value = {value: log.name for log in reversed(logs) if (value := log.metadata.get(key))}
         if model is not None:
-            found |= {value: "the model" for value in model.provenance.get(key, ())}
-        if len(found) > 1:
-            listed = " and ".join(f"{value} ({where})" for value, where in sorted(found.items()))
+            log_by_value |= {value: "the model" for value in model.provenance.get(key, ())}
+        if len(log_by_value) > 1:
+            listed = " and ".join(f"{value} ({where})" for value, where in sorted(log_by_value.items()))
             raise InputError(
                 f"the logs are not of one {'machine' if key == 'serial' else 'tool'}: {key} {listed}. "
                 "Name the logs of one, or allow both with --allow-mixed"
@@ -214,15 +214,15 @@ def check_plausible(
     RejectedError : with the likeliest reason first.
     """
     findings = check_quality(robot, logs, further)
-    found = [str(finding) for finding in findings if finding.refuses]
+    refusals = [str(finding) for finding in findings if finding.refuses]
     if findings and model is not None:
-        if found and predicts(model, logs):
-            found = []
+        if refusals and predicts(model, logs):
+            refusals = []
         elif same_scale(model, logs):
             findings = [finding for finding in findings if not finding.scale]
-            found = [str(finding) for finding in findings if finding.refuses]
-        flipped = {log.name: ", ".join(flipped_joints(model, log)) for log in logs} if not found else {}
-        found = found or [
+            refusals = [str(finding) for finding in findings if finding.refuses]
+        flipped = {log.name: ", ".join(flipped_joints(model, log)) for log in logs} if not refusals else {}
+        refusals = refusals or [
             f"{name}: the torque of {joints} has the opposite sign of the prediction"
             for name, joints in flipped.items()
             if joints
@@ -230,12 +230,12 @@ def check_plausible(
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     # a simulator without friction predicts no arm
-    if named and not found and model is not None and model.method != SIMULATOR and not predicts(model, logs):
-        found, named = [f"{named[0]}, and its model does not predict them"], []
-    if found and not force:
+    if named and not refusals and model is not None and model.method != SIMULATOR and not predicts(model, logs):
+        refusals, named = [f"{named[0]}, and its model does not predict them"], []
+    if refusals and not force:
         names = ", ".join(log.name for log in logs)
-        raise RejectedError(f"{names}: {'; '.join([*named, *found])}. {advice}")
-    for warning in (*named, *found, *(str(finding) for finding in findings if not finding.refuses)):
+        raise RejectedError(f"{names}: {'; '.join([*named, *refusals])}. {advice}")
+    for warning in (*named, *refusals, *(str(finding) for finding in findings if not finding.refuses)):
         console.warn(warning)
 
 

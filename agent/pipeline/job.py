@@ -116,12 +116,12 @@ class Job:
                     _check_machine(run, link)
                 run.note(serial=link.identity.serial)
                 ready = self._programs(link, missing.values())
-                left = sum(program.duration for program in ready)
-                console.step(f"recording {counted(len(missing), 'motion')}, {left:.0f} s in all")
+                remaining = sum(program.duration for program in ready)
+                console.step(f"recording {counted(len(missing), 'motion')}, {remaining:.0f} s in all")
                 for (name, motion), program in zip(missing.items(), ready, strict=True):
                     _set_aside(run.file(name))
-                    left -= program.duration
-                    place = MotionOfMany(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", left)
+                    remaining -= program.duration
+                    place = MotionOfMany(f"motion {list(motions).index(name) + 1} of {len(motions)}, ", remaining)
                     recording = link.run(program, run.file(name), motion.kind, place)
                     done[name] = self._keep(recording)
         return [done[name] for name in motions]

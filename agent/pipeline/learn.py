@@ -170,7 +170,9 @@ def _stretches(
 ) -> list[tuple[Any, RecordedMove]]:
     """Motions between stops by their key; adds the duration of each stop to `rests` [s]."""
     tool = log.metadata.get("tool", "none")
-    if tool != "none" and any(isinstance(one, Move) and one.settings.tool is None for one in statements):
+    if tool != "none" and any(
+        isinstance(statement, Move) and statement.settings.tool is None for statement in statements
+    ):
         raise InputError(
             f"{log.path}: its program leaves $TOOL open, and the log was recorded with {tool}; "
             "record a program that sets it"
@@ -181,7 +183,7 @@ def _stretches(
     t, q = log.t[good], reference[good]
     moving = moving_segments(q, max(2, round(Aligner.REST * log.sample_rate)))
     interpolator = FlyInterpolator(robot, period=1.0 / log.sample_rate)
-    found: list[tuple[Any, RecordedMove]] = []
+    stretches: list[tuple[Any, RecordedMove]] = []
     at, stand, left = 0, q[0], None
     for moves, waited in _chains(statements):
         planned = interpolator.plan(moves, stand).q
@@ -203,12 +205,12 @@ def _stretches(
             rests.setdefault(left[0], []).append(float(t[a] - left[1]))
         even = np.diff(t[a:b]).max() <= 2.5 / log.sample_rate
         if even:
-            found.append((way_key(moves), RecordedMove(tuple(moves), t[a:b], q[a:b])))
+            stretches.append((way_key(moves), RecordedMove(tuple(moves), t[a:b], q[a:b])))
         left = Pdl2Settings.of(moves[-1].settings).termination.value, float(t[b - 1])
         at, stand = last + 1, q[b - 1]
         if at == len(moving):
             break
-    return found
+    return stretches
 
 
 def _chains(statements: Sequence[Statement]) -> list[tuple[list[Move], float]]:

@@ -91,9 +91,9 @@ def make_plan(recipe: Recipe, console: Console) -> Plan:
     Raises:
         InputError: as in `plan_once`.
     """
-    excitation, found = search_loop(recipe, console)
+    excitation, search = search_loop(recipe, console)
     console.step(f"drawing {recipe.validate.motions} validation motions at {recipe.validate.speed:g} m/s")
-    return Plan(excitation, found, tuple(_validation(recipe, _draw_validation(recipe, console))))
+    return Plan(excitation, search, tuple(_validation(recipe, _draw_validation(recipe, console))))
 
 
 def search_loop(
@@ -229,7 +229,7 @@ def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
     """Random loops that keep all limits, as many as the recipe validates on."""
     candidates, wanted = Candidates(loop_problem(recipe, recipe.validate.speed)), recipe.validate.motions
     rng = np.random.default_rng(recipe.validate.seed)
-    found: list[Loop] = []
+    loops: list[Loop] = []
     reason = ""
     for draw in range(_MAX_DRAWS):
         loop = candidates.checked_loop(rng.uniform(size=candidates.problem.genes))
@@ -241,13 +241,13 @@ def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
         except InputError as error:
             reason = str(error)
             continue
-        found.append(loop)
-        broken = draw + 1 - len(found)
-        console.progress(f"{len(found)} of {wanted} drawn, {broken} broke a limit", len(found) / wanted)
-        if len(found) == wanted:
-            return found
+        loops.append(loop)
+        broken = draw + 1 - len(loops)
+        console.progress(f"{len(loops)} of {wanted} drawn, {broken} broke a limit", len(loops) / wanted)
+        if len(loops) == wanted:
+            return loops
     raise InputError(
-        f"only {len(found)} of {_MAX_DRAWS} random motions in the sub-region keep all limits at "
+        f"only {len(loops)} of {_MAX_DRAWS} random motions in the sub-region keep all limits at "
         f"{recipe.validate.speed:g} m/s; the last one: {reason}. Move or shrink motion.via_points"
     )
 
@@ -319,18 +319,18 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
     made = not folder.exists()
     make_folder(folder, "the plan")  # before the search, which may take long
     try:
-        motion, found = search_loop(recipe, console, engine)
+        motion, search = search_loop(recipe, console, engine)
         check_cell(recipe, motion.loop.trajectory)
     except BaseException:
         if made:
             folder.rmdir()
         raise
     text, loop = program_text(recipe, motion), shown_loop(recipe, motion)
-    files = PlanFiles(folder, f"program{recipe.dialect.suffix}", loop, found)
+    files = PlanFiles(folder, f"program{recipe.dialect.suffix}", loop, search)
     for name, content in {files.program: text, **recipe.dialect.messages(text)}.items():
         write_atomically(folder / name, content)
-    write_atomically(folder / "plan.html", plan_report(loop, found, text))
-    write_json(folder / "plan.json", {**files.to_dict(), "search": found})
+    write_atomically(folder / "plan.html", plan_report(loop, search, text))
+    write_json(folder / "plan.json", {**files.to_dict(), "search": search})
     return files
 
 

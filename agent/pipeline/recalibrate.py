@@ -99,11 +99,11 @@ def run_recalibration(
         with job.step("record"):
             recording = _record(job, reference)
         with job.step("estimate"):
-            log, found, comparison = _estimate(job, reference)
+            log, refitted, comparison = _estimate(job, reference)
         with job.step("validate"):
-            prediction = predict_log(found.model, log)
-            met = conditions(log, found.model, prediction) | temperatures(recording)
-            result = _result(job, reference, recording, found, comparison, met)
+            prediction = predict_log(refitted.model, log)
+            met = conditions(log, refitted.model, prediction) | temperatures(recording)
+            result = _result(job, reference, recording, refitted, comparison, met)
             released = authorisation is not None and authorisation.document.new_motions is not None
             ask = partial(_with_further_motions, job, reference.model, log) if released else None
             worse = result["validation"]["worse_before"]
@@ -122,7 +122,7 @@ def run_recalibration(
         if result["accepted"]:
             apply_run(logs, run.path)
         runs = History(logs).runs(recipe.robot.name, run.state["serial"])
-        watched = [line for one in watch(runs) for line in one.lines()]
+        watched = [line for machine in watch(runs) for line in machine.lines()]
         run.note(watch=watched)
         outcome = job.end(result, recalibration_text(result, run.path))
     for line in watched:
@@ -194,7 +194,7 @@ def find_reference(recipe: Recipe, logs: Path, past: PastRun) -> Reference:
     check_loop(recipe, loop)
     current = current_model(logs, past.robot, past.serial)
     if current is not None and current.run != past.run:
-        loops = {one.run: one.loop for one in History(logs).runs()}
+        loops = {run.run: run.loop for run in History(logs).runs()}
         if loops.get(current.run, "") == past.loop:
             return Reference(past, current.run, IdentifiedModel.load(current.model), loop)
     return Reference(past, past.run, IdentifiedModel.load(logs / past.run / "model.json"), loop)
@@ -221,15 +221,15 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
         raise InputError(f"{recipe.path}: {refused}: {error}; {advice}") from None
     motion = LoopMotion(loop.program_name, "excitation", own, recipe.motion.speed, 1)
     approach, *cycle = moves(program_text(recipe, motion))
-    found = moves(loop.program)
+    planned_moves = moves(loop.program)
     expected = chain([approach], chain.from_iterable(repeat(cycle)))
-    for number, (move, wanted) in enumerate(zip(found, islice(expected, len(found)), strict=True)):
+    for number, (move, wanted) in enumerate(zip(planned_moves, islice(expected, len(planned_moves)), strict=True)):
         if (what := _unlike(move, wanted)) is not None:
             raise InputError(
                 f"{recipe.path}: {refused}: {what} of its move {number + 1} (line {move.line} of its program) is not "
                 f"the one that was searched for in motion.via_points; {advice}"
             )
-    if len(found) < 1 + len(cycle) or (len(found) - 1) % len(cycle):
+    if len(planned_moves) < 1 + len(cycle) or (len(planned_moves) - 1) % len(cycle):
         raise InputError(f"{recipe.path}: {refused}: its program does not end where a cycle ends; {advice}")
 
 
@@ -242,10 +242,10 @@ def _unlike(move: Move, wanted: Move) -> str | None:
     return None if _same_target(move.target, wanted.target) else "the target"
 
 
-def _same_target(one: Target, other: Target) -> bool:
-    if type(one) is not type(other) or getattr(one, "configuration", "") != getattr(other, "configuration", ""):
+def _same_target(first: Target, other: Target) -> bool:
+    if type(first) is not type(other) or getattr(first, "configuration", "") != getattr(other, "configuration", ""):
         return False
-    there, here = (np.asarray(getattr(t, "pose", getattr(t, "position", None)), dtype=float) for t in (one, other))
+    there, here = (np.asarray(getattr(t, "pose", getattr(t, "position", None)), dtype=float) for t in (first, other))
     return there.shape == here.shape and bool(np.all(np.abs(there - here) <= _SAME))
 
 
@@ -283,19 +283,19 @@ def _estimate(job: Job, reference: Reference) -> tuple[Log, Refit, Comparison]:
     job.console.step("estimating friction again" if what == "friction" else "estimating all parameters again")
     (log,) = read_logs([run.file(EXCITATION)], recipe.robot, job.console)
     check_run(recipe.robot, [log], reference.model, job.console)
-    found = refit(reference.model, [log], what, recipe.tool)
-    found.model.save(run.file("model.json"))
+    refitted = refit(reference.model, [log], what, recipe.tool)
+    refitted.model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))
-    return log, found, compare_models(reference.model, found.model, log, reference.run, run.path.name)
+    return log, refitted, compare_models(reference.model, refitted.model, log, reference.run, run.path.name)
 
 
 def _result(
-    job: Job, reference: Reference, recording: Recording, found: Refit, comparison: Comparison, met: dict[str, Any]
+    job: Job, reference: Reference, recording: Recording, refitted: Refit, comparison: Comparison, met: dict[str, Any]
 ) -> dict[str, Any]:
     """The document `recalibration/1`, with the gate's decision and the reason for a rejection."""
     recipe, loop = job.recipe, reference.loop
-    faults = gate_faults(recipe.gate.normalised_rmse, reference.model, found, met, comparison)
-    nominal = found.model.robot.nominal_torque
+    faults = gate_faults(recipe.gate.normalised_rmse, reference.model, refitted, met, comparison)
+    nominal = refitted.model.robot.nominal_torque
     moved = [change.name for change in comparison.parameters if change.moved]
     return {
         "schema": "recalibration/1",
@@ -309,11 +309,11 @@ def _result(
         "validation": {
             "joints": list(recipe.robot.joint_names),
             "units": list(torque_units(recipe.robot)),
-            "rmse": found.held_out,
-            "rmse_before": found.before,
-            "normalised_rmse": found.held_out / nominal,
-            "normalised_rmse_before": found.before / nominal,
-            "worse_before": worse_joints(reference.model, found.before),
+            "rmse": refitted.held_out,
+            "rmse_before": refitted.before,
+            "normalised_rmse": refitted.held_out / nominal,
+            "normalised_rmse_before": refitted.before / nominal,
+            "worse_before": worse_joints(reference.model, refitted.before),
         },
         "comparison": (
             f"{len(moved)} of {len(comparison.parameters)} parameters moved by more than their uncertainty"
@@ -326,7 +326,7 @@ def _result(
 
 
 def gate_faults(
-    gate: float, last: IdentifiedModel, found: Refit, met: dict[str, Any], comparison: Comparison
+    gate: float, last: IdentifiedModel, refitted: Refit, met: dict[str, Any], comparison: Comparison
 ) -> list[str]:
     """Reasons to reject a refitted model; none if it is accepted.
 
@@ -336,14 +336,14 @@ def gate_faults(
     last : the last accepted model; `comparison` is of it with the new one.
     met : the run's conditions, with the friction found.
     """
-    robot = found.model.robot
-    _, reason = gate_decision(gate, robot.joint_names, found.held_out / robot.nominal_torque, without_nominal(robot))
+    robot = refitted.model.robot
+    _, reason = gate_decision(gate, robot.joint_names, refitted.held_out / robot.nominal_torque, without_nominal(robot))
     faults = [reason] if reason else []
-    for name in worse_joints(last, found.held_out):
+    for name in worse_joints(last, refitted.held_out):
         k = robot.joint_names.index(name)
         faults.append(
-            f"{name}: held-out error {found.held_out[k]:.3g} N·m, {last.held_out_rmse[k]:.3g} N·m at the last accepted "
-            "run: something has changed that these parameters do not describe"
+            f"{name}: held-out error {refitted.held_out[k]:.3g} N·m, {last.held_out_rmse[k]:.3g} N·m at the last "
+            "accepted run: something has changed that these parameters do not describe"
         )
     for level in met["friction"]:
         if level["value"] + _SIGNIFICANT * level["standard_deviation"] < 0:

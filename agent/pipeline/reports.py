@@ -89,11 +89,11 @@ def diagnose_if_worse(
     opening = f"The last model predicts {', '.join(worse)} worse than it did."
     console.step(f"{opening} Diagnosing")
     try:
-        found, cut_short = (diagnose(model.robot, logs, model).result, None) if ask is None else ask()
+        diagnosis, cut_short = (diagnose(model.robot, logs, model).result, None) if ask is None else ask()
     except AgentError as error:
         return {"summary": f"{opening} It could not be diagnosed: {error}", "result": None}, None
-    run.write_json("diagnosis.json", found)
-    return {"summary": f"{opening} {diagnosis_summary(found)}", "result": found}, cut_short
+    run.write_json("diagnosis.json", diagnosis)
+    return {"summary": f"{opening} {diagnosis_summary(diagnosis)}", "result": diagnosis}, cut_short
 
 
 def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> About:
@@ -194,8 +194,8 @@ def _coloured(loop: ShownLoop, log: Log, prediction: Prediction) -> ShownLoop:
     worst = np.abs(100 * prediction.error / nominal if shares else prediction.error).max(axis=1)
     inside = (prediction.time >= start) & (prediction.time <= stop)
     time = np.linspace(0.0, loop.duration, len(loop.cycle.t))
-    left = np.interp(time, prediction.time[inside] - start, worst[inside])
-    return replace(loop, left=left, left_unit="% of nominal torque" if shares else "N·m")
+    error = np.interp(time, prediction.time[inside] - start, worst[inside])
+    return replace(loop, left=error, left_unit="% of nominal torque" if shares else "N·m")
 
 
 def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:
@@ -224,8 +224,8 @@ def write_index(logs: Path, robot: str | None = None, serial: str | None = None)
     if not runs:
         raise InputError(f"{logs}: {history.why_none(robot, serial)}")
     watched = watch(runs)
-    parameters = history.parameters({figures.run for one in watched for figures in one.figures})
-    courses = [parameter_trends(one.figures, parameters) for one in watched]
+    parameters = history.parameters({figures.run for machine in watched for figures in machine.figures})
+    courses = [parameter_trends(machine.figures, parameters) for machine in watched]
     return write_atomically(logs / "index.html", index_page(runs, watched, courses, current_runs(logs)[0]))
 
 

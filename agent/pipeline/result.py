@@ -89,11 +89,16 @@ def recorded(run: RunFolder, recordings: Sequence[Recording]) -> dict[str, Any]:
     state = run.state
     sources = {f"version of {name}": version for name, version in state["versions"].items()}
     sources |= {f"SHA-256 of {name}": value for name, value in state["inputs_sha256"].items()}
-    sources |= {f"SHA-256 of {one.path.name}": sha256_file(one.path) for one in recordings}
+    sources |= {f"SHA-256 of {recording.path.name}": sha256_file(recording.path) for recording in recordings}
     return {
         "recordings": [
-            {"log": one.path.name, "samples": one.samples, "lost": one.lost, "duration": one.duration}
-            for one in recordings
+            {
+                "log": recording.path.name,
+                "samples": recording.samples,
+                "lost": recording.lost,
+                "duration": recording.duration,
+            }
+            for recording in recordings
         ],
         "provenance": {"run": run.path.name, "started": state["started"], **sources},
     }
@@ -182,5 +187,5 @@ def _warm_up(log: Log, prediction: Prediction) -> tuple[np.ndarray, np.ndarray]:
     scale = numerator[whole] / denominator[whole]
     time = starts[whole] - starts[whole].mean()
     rate = time @ scale / (time @ time)
-    left = scale - scale.mean(axis=0) - np.outer(time, rate)
-    return rate, np.sqrt(np.sum(left**2, axis=0) / max(1, len(time) - 2) / (time @ time))
+    residual = scale - scale.mean(axis=0) - np.outer(time, rate)
+    return rate, np.sqrt(np.sum(residual**2, axis=0) / max(1, len(time) - 2) / (time @ time))

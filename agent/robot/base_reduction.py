@@ -77,8 +77,8 @@ def _preference(robot: RobotDescription, layout: ParameterLayout) -> list[int]:
     for link, (axis, joint) in enumerate(zip(joint_axes(robot), robot.joints, strict=True)):
         about = ("Ixx", "Iyy", "Izz")[int(np.argmax(np.abs(axis)))]
         first = "m" if joint.prismatic else about
-        rest = [name for name in ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m") if name != first]
-        order += [layout.link(link).start + LINK_PARAMETERS.index(name) for name in (first, *rest)]
+        others = [name for name in ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m") if name != first]
+        order += [layout.link(link).start + LINK_PARAMETERS.index(name) for name in (first, *others)]
     return order + list(range(layout.rotors.start, layout.rotors.stop))
 
 
@@ -87,12 +87,12 @@ def _reduce(columns: np.ndarray, order: list[int]) -> tuple[np.ndarray, np.ndarr
     basis = np.empty((0, len(columns)))
     independent: list[int] = []
     for k in order:
-        rest = columns[:, k]
+        remainder = columns[:, k]
         for _ in range(2):  # twice is enough for full precision
-            rest = rest - basis.T @ (basis @ rest)
-        length = np.linalg.norm(rest)
+            remainder = remainder - basis.T @ (basis @ remainder)
+        length = np.linalg.norm(remainder)
         if length > DEPENDENT:
-            basis = np.vstack([basis, rest / length])
+            basis = np.vstack([basis, remainder / length])
             independent.append(k)
     combinations = np.linalg.solve(basis @ columns[:, independent], basis @ columns)
     combinations[np.abs(combinations) < 1e-10] = 0.0

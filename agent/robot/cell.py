@@ -116,31 +116,31 @@ class Cell:
             raise ValueError("joint positions and ways to a stop must be finite")
         if not 0.0 <= margin < np.inf:
             raise ValueError("the margin must be a number, zero or more")
-        found = self._range_violations(q, times, stopping=False)
+        violations = self._range_violations(q, times, stopping=False)
         if stop is not None:
-            found += self._range_violations(q + stop, times, stopping=True)
+            violations += self._range_violations(q + stop, times, stopping=True)
         clearances: dict[tuple[str, str], float] = {}
         depth = 0.0
         if self._model.pairs:
             search = ClearanceSearch(self._model, q, stop, np.minimum(margin, self._largest_margins), self.tolerance)
             search.run()
             clearances = search.clearances()
-            found += search.first_violation(times)
+            violations += search.first_violation(times)
             depth = max(depth, search.depth())
-        depth = max([depth, *(violation.depth for violation in found)])
-        first = min(found, key=lambda violation: violation.index, default=None)
+        depth = max([depth, *(violation.depth for violation in violations)])
+        first = min(violations, key=lambda violation: violation.index, default=None)
         return CellReport(clearances, first, depth)
 
     def _range_violations(self, q: np.ndarray, times: np.ndarray | None, stopping: bool) -> list[Violation]:
         beyond = np.maximum(self.lower - q, q - self.upper)
         outside = ~(beyond <= RANGE_SLACK)
-        found = []
+        violations = []
         for joint in np.flatnonzero(outside.any(axis=0)):
             index = int(np.argmax(outside[:, joint]))
             time = None if times is None else float(times[index])
             depth = float(beyond[:, joint].max())
-            found.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
-        return found
+            violations.append(Violation(self.robot.joint_names[joint], "", index, time, depth, 0.0, stopping))
+        return violations
 
     def _try_many_postures(self) -> tuple[tuple[tuple[str, str], ...], np.ndarray, np.ndarray]:
         """What is left out; of each pair that stays, the largest margin and the widest distance found.
@@ -194,7 +194,9 @@ def _collision_model(
         x, y, z = (float(value) for value in np.asarray(tool.frame)[:3, 3])
         bodies.append(Body("tool", robot.tip_frame, (Capsule((0.0, 0.0, 0.0), (x, y, z), tool_radius),)))
     sizes: list[tuple[str, tuple[float, ...]]] = [(box.name, (*box.minimum, *box.maximum)) for box in keep_out]
-    sizes += [(body.name, (*one.start, *one.end, one.radius)) for body in bodies for one in body.capsules]
+    sizes += [
+        (body.name, (*capsule.start, *capsule.end, capsule.radius)) for body in bodies for capsule in body.capsules
+    ]
     for name, numbers in sizes:  # of such a shape every distance would be a large one
         if not np.isfinite(numbers).all():
             raise InputError(f"cell: the size or place of {name} is no number, so nothing can be kept clear of it")

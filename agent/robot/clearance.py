@@ -117,7 +117,9 @@ class ClearanceSearch:
 
     def clearances(self) -> dict[tuple[str, str], float]:
         smallest = self.smallest.tolist()
-        return {(pair.first, pair.second): found for pair, found in zip(self.model.pairs, smallest, strict=True)}
+        return {
+            (pair.first, pair.second): clearance for pair, clearance in zip(self.model.pairs, smallest, strict=True)
+        }
 
     def first_violation(self, times: np.ndarray | None) -> Sequence[Violation]:
         if self.first is None:

@@ -151,8 +151,8 @@ class CollisionModel:
         ends = self._ends(shape)
         if joint == last:
             return self._from_axis(joint, ends)
-        rest = self._lengths[joint + 1 : last].sum() + np.linalg.norm(ends, axis=1).max()
-        return float(self._from_axis(joint, self._origins[joint][None]) + rest + self._strokes[joint:last].sum())
+        beyond = self._lengths[joint + 1 : last].sum() + np.linalg.norm(ends, axis=1).max()
+        return float(self._from_axis(joint, self._origins[joint][None]) + beyond + self._strokes[joint:last].sum())
 
     def _inwards(self, joint: int, first: int, shape: int) -> float:
         """The same the other way, for a shape on joint `first` before the joint."""
@@ -160,8 +160,8 @@ class CollisionModel:
         ends = self._ends(shape)
         if joint == first + 1:
             return self._from_axis(joint, ends @ back.rotation.T + back.translation)
-        rest = self._lengths[first : joint - 1].sum() + np.linalg.norm(ends, axis=1).max()
-        return float(self._from_axis(joint, back.translation[None]) + rest + self._strokes[first : joint - 1].sum())
+        beyond = self._lengths[first : joint - 1].sum() + np.linalg.norm(ends, axis=1).max()
+        return float(self._from_axis(joint, back.translation[None]) + beyond + self._strokes[first : joint - 1].sum())
 
     def _from_axis(self, joint: int, points: np.ndarray) -> float:
         """Largest distance of points (m, 3), given in a joint's frame, from its axis."""

@@ -304,8 +304,8 @@ def _load_file(path: Path) -> RobotDescription:
         if link not in links:
             raise InputError(f"{path}: bodies.{link}: the URDF has no such link")
     joints = [_joint(path, joint, elements) for joint in entry.joints]
-    found = {"urdf": urdf, "joints": joints, "motor_coupling": _coupling(path, entry)}
-    return RobotDescription.from_dict(entry.model_dump() | found)
+    resolved = {"urdf": urdf, "joints": joints, "motor_coupling": _coupling(path, entry)}
+    return RobotDescription.from_dict(entry.model_dump() | resolved)
 
 
 _load_builtin = cache(_load_file)

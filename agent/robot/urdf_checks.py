@@ -124,10 +124,10 @@ def _check_tree(path: Path | str, root: Element) -> None:
         parent[ends[1]] = ends[0]
     roots = [link for link in links if link not in parent]
     if len(roots) != 1:
-        found = (
+        faults = (
             f"{len(roots)} links have no parent ({', '.join(map(str, roots))})" if roots else "its joints are a loop"
         )
-        raise InputError(f"{path}: {found}; one link is the base, and joints connect all others to it")
+        raise InputError(f"{path}: {faults}; one link is the base, and joints connect all others to it")
     for link in links:
         above, steps = link, 0
         while above in parent and steps <= len(links):

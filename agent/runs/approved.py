@@ -65,10 +65,10 @@ def _sub_region(via: ViaPointsSection) -> dict[str, Any]:
         return {kind: {"count": via.count, **getattr(via, kind).model_dump()}}
 
     like = Path(via.like)
-    found = {"count": via.count, "path": _file_digest(like), "around": via.around or 0.0}
+    region = {"count": via.count, "path": _file_digest(like), "around": via.around or 0.0}
     language = dialect_of(like)
     listing = None if language is None else language.companion(like)
-    return {"like": found if listing is None else {**found, "variables": _file_digest(listing)}}
+    return {"like": region if listing is None else {**region, "variables": _file_digest(listing)}}
 
 
 def digest(parts: Any) -> str:
@@ -118,14 +118,14 @@ def approved_parts(run: Path, state: dict[str, Any]) -> dict[str, Any]:
 
 def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
     """Differences between two problems, in one sentence for people."""
-    found: dict[str, list[str]] = {}
+    by_part: dict[str, list[str]] = {}
     for place, before, after in _differing(then, now):
         part, rest = _where(place)
-        found.setdefault(part, []).append(f"{rest} {_change(before, after)}".strip())
+        by_part.setdefault(part, []).append(f"{rest} {_change(before, after)}".strip())
     return "; ".join(
         f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}"
         + (f" and {len(changes) - _MAX_LISTED} more" if len(changes) > _MAX_LISTED else "")
-        for part, changes in found.items()
+        for part, changes in by_part.items()
     )
 
 

@@ -116,8 +116,8 @@ def sizes_of_change(
     known = np.isfinite(std)
     coefficient, std = np.where(known, coefficient, 0.0), np.where(known, std, 0.0)
     sizes = raw - coefficient * along
-    left = y - coefficient[:, None] * common - sizes[:, None] * shapes
-    variance = _widened(left, degrees_of_freedom) / power + (along * std) ** 2
+    residual = y - coefficient[:, None] * common - sizes[:, None] * shapes
+    variance = _widened(residual, degrees_of_freedom) / power + (along * std) ** 2
     deviations = np.sqrt(np.maximum(variance, 1e-30))
     p_values = 2 * stdtr(degrees_of_freedom, -np.abs(sizes) / deviations)
     return np.where(known, sizes, 0.0), np.where(known, deviations, np.inf), np.where(known, p_values, 1.0)
@@ -140,8 +140,8 @@ def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> 
     return np.where(clear, found, background.coefficient), np.where(clear, total**-0.5, background.std)
 
 
-def _widened(left: np.ndarray, degrees_of_freedom: int) -> np.ndarray:
+def _widened(residual: np.ndarray, degrees_of_freedom: int) -> np.ndarray:
     """Variance (K,) of the noise from residuals (K, R), widened for their autocorrelation."""
-    energy = np.sum(left**2, axis=1)
-    rho = np.clip(np.sum(left[:, 1:] * left[:, :-1], axis=1) / np.maximum(energy, 1e-300), 0.0, 0.9)
+    energy = np.sum(residual**2, axis=1)
+    rho = np.clip(np.sum(residual[:, 1:] * residual[:, :-1], axis=1) / np.maximum(energy, 1e-300), 0.0, 0.9)
     return energy / degrees_of_freedom * (1 + rho) / (1 - rho)

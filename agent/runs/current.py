@@ -105,20 +105,20 @@ def apply_run(logs: Path, run: Path) -> Applied:
 
 def current_runs(logs: Path) -> tuple[set[str], list[str]]:
     """Names of the runs of a folder whose models are the current ones of their robots, and the damaged ones."""
-    found, damaged = _all_current(logs)
-    return {applied.run for applied in found.values()}, damaged
+    current, damaged = _all_current(logs)
+    return {applied.run for applied in current.values()}, damaged
 
 
 def _all_current(logs: Path) -> tuple[dict[Path, Applied], list[str]]:
     """Current models by their key, and the damaged ones."""
-    found, damaged = {}, []
+    current, damaged = {}, []
     for place in sorted((logs / _FOLDER).glob("*")):
         try:
             if (place / "current").is_symlink():
-                found[place] = _about(place / "current")
+                current[place] = _about(place / "current")
         except InputError as error:
             damaged.append(str(error))
-    return found, damaged
+    return current, damaged
 
 
 def apply_previous(logs: Path, robot: str | None = None, serial: str | None = None) -> Applied:
@@ -127,12 +127,14 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     Raises:
         InputError: nothing was applied before, or it is not clear on which robot.
     """
-    found, damaged = _all_current(logs)
-    places = [one for one in found.items() if robot in (None, one[1].robot) and serial in (None, one[1].serial)]
+    current, damaged = _all_current(logs)
+    places = [
+        entry for entry in current.items() if robot in (None, entry[1].robot) and serial in (None, entry[1].serial)
+    ]
     if not places and damaged:
         raise InputError("; ".join(damaged))
-    there = ", ".join(f"{about.robot} {about.serial}".strip() for about in found.values())
-    if not found:
+    there = ", ".join(f"{about.robot} {about.serial}".strip() for about in current.values())
+    if not current:
         raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
     if not places:
         raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {there}")

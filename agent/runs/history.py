@@ -27,7 +27,7 @@ class History:
             raise InputError(f"{folder}: no runs are kept there; name the folder with --logs")
         self.folder = folder
         self.damaged: list[str] = []
-        found = []
+        runs = []
         for entry in os.scandir(folder):
             if not entry.name.isprintable():  # not a run folder of the agent
                 continue
@@ -38,10 +38,10 @@ class History:
             except OSError:  # no rights, a link to itself: `read_run` says which
                 pass
             try:
-                found.append(read_run(folder / entry.name))
+                runs.append(read_run(folder / entry.name))
             except InputError as error:
                 self.damaged.append(str(error))
-        self._runs = sorted(found, key=lambda run: (run.started, run.run))
+        self._runs = sorted(runs, key=lambda run: (run.started, run.run))
 
     def runs(self, robot: str | None = None, serial: str | None = None) -> list[PastRun]:
         """All runs, or those of a robot and serial; oldest first."""
@@ -55,13 +55,13 @@ class History:
 
     def parameters(self, runs: Iterable[str] | None = None) -> dict[str, list[PastParameter]]:
         """Parameters by run in the model's order, of all runs or some; a model that cannot be read is `damaged`."""
-        found: dict[str, list[PastParameter]] = {}
+        parameters: dict[str, list[PastParameter]] = {}
         for run in [run.run for run in self._runs] if runs is None else runs:
             try:
-                found[run] = read_parameters(self.folder / run)
+                parameters[run] = read_parameters(self.folder / run)
             except InputError as error:
                 self.damaged.append(str(error))
-        return found
+        return parameters
 
     def last_accepted(self, robot: str, loop: str, controller: str, now: datetime | None = None) -> PastRun | None:
         """The newest accepted run of a loop: of the robot at this controller if there is one, else of any.

@@ -234,18 +234,18 @@ def _read_run(path: Path) -> PastRun:
     )
 
 
-def _conditions(found: dict[str, Any], joints: list[str]) -> dict[str, Any]:
+def _conditions(recorded: dict[str, Any], joints: list[str]) -> dict[str, Any]:
     """The conditions of a run, once those that the trends use are checked."""
-    for level in found.get("friction", []):
+    for level in recorded.get("friction", []):
         if level["joint"] not in joints:
             raise ValueError(f"friction of {level['joint']!r}, which is none of the joints")
         for key in ("speed", "value", "standard_deviation", "from_run_to_run"):
             _number(level[key], key)
-    if found.get("friction") and len(_numbers(found["nominal_torque"], "nominal_torque")) != len(joints):
+    if recorded.get("friction") and len(_numbers(recorded["nominal_torque"], "nominal_torque")) != len(joints):
         raise ValueError("nominal_torque is not one a joint")
     for key in ("rate_per_s", "standard_deviation"):
-        _numbers(found.get("warm_up", {}).get(key, []), key)
-    return found
+        _numbers(recorded.get("warm_up", {}).get(key, []), key)
+    return recorded
 
 
 def _one_line(text: str) -> str:

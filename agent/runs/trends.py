@@ -57,8 +57,8 @@ class MachineRuns:
 
     def __init__(self, machine: str, figures: Sequence[RunFigures]):
         self.machine = machine
-        self.names = tuple(one.run for one in figures)
-        self.dates = tuple(one.date for one in figures)
+        self.names = tuple(figure.run for figure in figures)
+        self.dates = tuple(figure.date for figure in figures)
 
     @cached_property
     def days(self) -> np.ndarray:
@@ -198,9 +198,9 @@ class Watch:
     @property
     def alarms(self) -> tuple[Trend, ...]:
         """Significant trends of practical size; the strongest of each joint."""
-        found = [trend for trend in self.trends if trend.alarm]
-        by_size = {trend.joint: trend for trend in sorted(found, key=lambda trend: abs(trend.change))}
-        return tuple(by_size[joint] for joint in dict.fromkeys(trend.joint for trend in found))
+        alarms = [trend for trend in self.trends if trend.alarm]
+        by_size = {trend.joint: trend for trend in sorted(alarms, key=lambda trend: abs(trend.change))}
+        return tuple(by_size[joint] for joint in dict.fromkeys(trend.joint for trend in alarms))
 
     def lines(self) -> list[str]:
         """Alarms and warnings, a sentence each."""
@@ -220,8 +220,8 @@ class Watch:
 
 def comparable_runs(figures: Sequence[RunFigures], name: str) -> tuple[RunFigures, ...]:
     """The runs with as many figures of a name as the latest; none where they are too few for a trend."""
-    found = tuple(one for one in figures if len(getattr(one, name)) == len(getattr(figures[-1], name)))
-    return found if len(found) >= FEWEST else ()
+    comparable = tuple(figure for figure in figures if len(getattr(figure, name)) == len(getattr(figures[-1], name)))
+    return comparable if len(comparable) >= FEWEST else ()
 
 
 def friction_trends(figures: Sequence[RunFigures], machine: str = "") -> list[Trend]:
@@ -234,14 +234,14 @@ def friction_trends(figures: Sequence[RunFigures], machine: str = "") -> list[Tr
     runs, met = MachineRuns(machine, figures), figures[-1].friction
     axles = [figures[-1].joints.index(level["joint"]) for level in met]
     values, deviations = (
-        np.array([[level[key] for level in one.friction] for one in figures], dtype=float)
+        np.array([[level[key] for level in figure.friction] for figure in figures], dtype=float)
         for key in ("value", "from_run_to_run")
     )
-    found = []
+    trends = []
     for k, background in warm_up_backgrounds(axles, values, deviations, *_warm_up_rates(figures)):
         series, at = (values[:, k], deviations[:, k], background), f" at {met[k]['speed']:.2g} rad/s"
-        found.append(Trend(runs, "friction", met[k]["joint"], "N·m", *series, at))
-    return found
+        trends.append(Trend(runs, "friction", met[k]["joint"], "N·m", *series, at))
+    return trends
 
 
 def watch(runs: Sequence[PastRun]) -> list[Watch]:
@@ -253,30 +253,30 @@ def watch(runs: Sequence[PastRun]) -> list[Watch]:
     for run in runs:
         if run.complete and run.data["conditions"].get("friction") and not run.in_future():
             groups.setdefault((run.robot, run.serial, run.program), []).append(run)
-    found = []
+    watched = []
     for key, group in groups.items():
         if figures := comparable_runs([_figures(run) for run in group[-WINDOW:]], "friction"):
             trends = friction_trends(figures)
             _decide(trends, len(figures[-1].friction))
             warnings = _warnings(figures, group[-1].data, trends)
-            found.append(Watch(*key, figures, tuple(trends), tuple(warnings)))
-    return found
+            watched.append(Watch(*key, figures, tuple(trends), tuple(warnings)))
+    return watched
 
 
 def parameter_trends(figures: Sequence[RunFigures], parameters: dict[str, list[PastParameter]]) -> list[Trend]:
     """Trends of every parameter that all of these runs, of one machine and program, have; they raise no alarm."""
-    tables = [{p.name: p for p in parameters.get(one.run, [])} for one in figures]
+    tables = [{p.name: p for p in parameters.get(figure.run, [])} for figure in figures]
     names = [name for name in tables[-1] if all(name in table for table in tables)]
     rate, runs = Background(common_rate(*_warm_up_rates(figures))), MachineRuns("", figures)
-    found = []
+    trends = []
     for name in names:
         values, deviations = np.array([(table[name].value, table[name].standard_deviation) for table in tables]).T
         if np.ptp(values) <= 1e-12 * np.abs(values).max():
             continue  # kept from run to run, not estimated
         scale = max(float(np.median(np.abs(values))), 1e-300)
-        found.append(Trend(runs, name, "", tables[-1][name].unit, values, deviations, rate, scale=scale))
-    _decide(found, len(names))
-    return found
+        trends.append(Trend(runs, name, "", tables[-1][name].unit, values, deviations, rate, scale=scale))
+    _decide(trends, len(names))
+    return trends
 
 
 def _decide(trends: Sequence[Trend], series: int) -> None:
@@ -295,7 +295,7 @@ def _warm_up_rates(figures: Sequence[RunFigures]) -> list[np.ndarray]:
     """Two arrays (R, n): relative change of friction per second while a run lasted, and its deviation; NaN where
     unknown."""
     axles = len(figures[-1].joints)
-    columns = [[one.warm_up.get(key, []) for one in figures] for key in ("rate_per_s", "standard_deviation")]
+    columns = [[figure.warm_up.get(key, []) for figure in figures] for key in ("rate_per_s", "standard_deviation")]
     return [np.array([row if len(row) == axles else [None] * axles for row in rows], dtype=float) for rows in columns]
 
 
@@ -321,18 +321,18 @@ def _warnings(figures: Sequence[RunFigures], latest: dict[str, Any], trends: Seq
             )
             change = abs(trend.change) * float(np.median(trend.values))
             coming.append((trend.joint, limit - abs(course[-1] - course[0]), change, text))
-    found: dict[str, Warning] = {}
+    warnings: dict[str, Warning] = {}
     span = max(float(np.ptp(days)), 1e-9)
     for joint, margin, change, text in coming:
-        left = max(0.0, float(margin / max(change, 1e-300)) * span)
-        if left <= span:
-            found.setdefault(joint, Warning(joint, left, f"{joint}: {text.format(_in(left))}"))
-    return list(found.values())
+        remaining = max(0.0, float(margin / max(change, 1e-300)) * span)
+        if remaining <= span:
+            warnings.setdefault(joint, Warning(joint, remaining, f"{joint}: {text.format(_in(remaining))}"))
+    return list(warnings.values())
 
 
 def errors_by_joint(figures: Sequence[RunFigures]) -> dict[str, np.ndarray]:
     """Prediction error over the runs (R,), by joint; NaN where a run has none."""
-    table = [dict(zip(one.joints, one.errors, strict=False)) for one in figures]
+    table = [dict(zip(figure.joints, figure.errors, strict=False)) for figure in figures]
     return {joint: np.array([row.get(joint) for row in table], dtype=float) for joint in figures[-1].joints}
 
 

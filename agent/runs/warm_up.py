@@ -29,19 +29,19 @@ def warm_up_backgrounds(
     levels: list[int] = np.flatnonzero(np.all(values > 0, axis=0)).tolist()
     logs = np.log(np.where(values > 0, values, 1.0))
     centred = logs - np.median(logs, axis=0)
-    found: dict[int, Background] = {}
+    backgrounds: dict[int, Background] = {}
     for k in levels:
         axle = axles[k]
-        if axle not in found:
+        if axle not in backgrounds:
             others = [m for m in levels if axles[m] != axle]
             if len({axles[m] for m in others}) < 3:  # wear of one would be half of the others' median
-                found[axle] = Background(common_rate(rates, rate_stds))
+                backgrounds[axle] = Background(common_rate(rates, rate_stds))
             else:
                 scatter = np.median(deviations[:, others] / values[:, others])
                 noise = np.pi / 2 * float(scatter) ** 2 / len(others)  # of a median
                 response = _warm_up_response(rates, axle)
-                found[axle] = Background(np.median(centred[:, others], axis=1), *response, noise)
-        yield k, found[axle]
+                backgrounds[axle] = Background(np.median(centred[:, others], axis=1), *response, noise)
+        yield k, backgrounds[axle]
 
 
 def common_rate(rates: np.ndarray, rate_stds: np.ndarray) -> np.ndarray:
@@ -66,8 +66,8 @@ def _warm_up_response(rates: np.ndarray, axle: int) -> tuple[float, float]:
     if power < _SIGNIFICANT * noise * (2 * len(known)) ** 0.5:  # its scatter from noise alone
         return 1.0, _UNKNOWN_RESPONSE
     ratio = float(common @ known[:, axle]) / power
-    left = known[:, axle] - ratio * common
-    precision = power / max(float(left @ left) / (len(known) - 2) + ratio**2 * noise, 1e-300)
+    residual = known[:, axle] - ratio * common
+    precision = power / max(float(residual @ residual) / (len(known) - 2) + ratio**2 * noise, 1e-300)
     total = precision + _UNKNOWN_RESPONSE**-2
     ratio = (precision * ratio + _UNKNOWN_RESPONSE**-2) / total
     return ratio, float(np.hypot(total**-0.5, _SPEEDS_DIFFER * abs(ratio)))

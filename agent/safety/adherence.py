@@ -143,13 +143,13 @@ class Adherence:
         if not self._waiting:
             return None
         blocks, self._waiting = self._waiting, []
-        time, measured = (np.concatenate([getattr(one, name) for one in blocks]) for name in ("time", "position"))
-        seen = [one.reference_position for one in blocks if one.reference_position is not None]
+        time, measured = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("time", "position"))
+        seen = [block.reference_position for block in blocks if block.reference_position is not None]
         given = np.concatenate(seen) if len(seen) == len(blocks) else None
         if not np.isfinite(time).all():
             return f"the controller sent times that are no numbers; {_FAULT}"
         for name, what in _COLUMNS.items():
-            sent = [values for one in blocks if (values := getattr(one, name)) is not None]
+            sent = [values for block in blocks if (values := getattr(block, name)) is not None]
             if not all(bool(np.all(np.abs(values) < FARTHEST)) for values in sent):
                 return f"the controller sent {what} that are no numbers; {_FAULT}"
         if np.isnan(self._began):

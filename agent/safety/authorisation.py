@@ -138,17 +138,17 @@ class Authorisation:
                 f"{self.path}: this authorisation is for the stored loop; it releases no new motions (new_motions)"
             )
         self.check_problem(problem)
-        left = released.duration - before
-        if not left > 0:
+        remaining = released.duration - before
+        if not remaining > 0:
             raise InputError(f"{self.path}: the {released.duration:.0f} s of new motions that it allows are used up")
-        limits = self.document.limits.model_copy(update={"duration": min(self.document.limits.duration, left)})
+        limits = self.document.limits.model_copy(update={"duration": min(self.document.limits.duration, remaining)})
         document = self.document.model_copy(update={"program": program, "limits": limits})
         return replace(self, document=document, unseen=True)
 
     def ends_soon(self, now: datetime | None = None) -> str | None:
         """Warning if it ends within two weeks."""
-        left = self.document.expires - (now or datetime.now(UTC)).date()
-        return f"{self.path}: this authorisation ends on {self.document.expires}" if left <= _SOON else None
+        remaining = self.document.expires - (now or datetime.now(UTC)).date()
+        return f"{self.path}: this authorisation ends on {self.document.expires}" if remaining <= _SOON else None
 
 
 def load_authorisation(path: Path, now: datetime | None = None) -> Authorisation:

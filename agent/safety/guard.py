@@ -285,7 +285,7 @@ class GuardedLink:
         facts = dict(self._driver.facts) if isinstance(self._driver, ReportsDiagnostics) else {}
         if self._changes:
             keys = ("time_s", "setting", "before", "after")
-            facts["controller_changes"] = json.dumps([dict(zip(keys, one, strict=True)) for one in self._changes])
+            facts["controller_changes"] = json.dumps([dict(zip(keys, change, strict=True)) for change in self._changes])
         return facts
 
     def close(self) -> None:

@@ -151,8 +151,8 @@ def check_frames(program: str, frames: Mapping[str, np.ndarray], driver: Driver,
     """
     if not frames:
         return
-    found = driver.frames() if isinstance(driver, ReportsFrames) else {}
-    if not frames.keys() <= found.keys():
+    reported = driver.frames() if isinstance(driver, ReportsFrames) else {}
+    if not frames.keys() <= reported.keys():
         missing = " and ".join(frames)
         lines = "; ".join(f"{name} := {pos_text(frame)}" for name, frame in frames.items())
         raise InputError(
@@ -160,9 +160,9 @@ def check_frames(program: str, frames: Mapping[str, np.ndarray], driver: Driver,
             f"and this link cannot read that. Set it before the first move; the plan was made for {lines}"
         )
     wrong = [
-        f"{name} is {pos_text(found[name])}, the plan is for {pos_text(frame)}"
+        f"{name} is {pos_text(reported[name])}, the plan is for {pos_text(frame)}"
         for name, frame in frames.items()
-        if not np.abs(found[name] - frame).max() <= SAME_FRAME
+        if not np.abs(reported[name] - frame).max() <= SAME_FRAME
     ]
     if wrong:
         raise ControllerError(

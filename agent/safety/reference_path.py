@@ -134,8 +134,8 @@ class ReferencePath:
 
         Runs that are at most `within` [s] farther away are included.
         """
-        found = np.flatnonzero(reached)
-        runs = np.split(found, np.flatnonzero(np.diff(found) > 1) + 1)
+        near = np.flatnonzero(reached)
+        runs = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
         away = [float(np.min(np.abs(self.when[first + run] - expected))) for run in runs]
         chosen = np.zeros_like(reached)
         for run, off in zip(runs, away, strict=True):

@@ -296,14 +296,14 @@ class MotionWatch:
 
         What came after that may be lost; then the arm has to stand at the end of the plan.
         """
-        left = 0.0 if self.stopped else self._adherence.left
-        if left <= EARLY:
+        remaining = 0.0 if self.stopped else self._adherence.left
+        if remaining <= EARLY:
             return None
         lost = self._period * sum(gap.count for gap in self._driver.gaps if gap.first > last)
-        if left <= EARLY + lost and self._adherence.ends_at(self._driver.status().position):
+        if remaining <= EARLY + lost and self._adherence.ends_at(self._driver.status().position):
             return None
         return (
-            f"the controller says that the motion is over, {left:.1f} s before the end of its plan: look at the "
+            f"the controller says that the motion is over, {remaining:.1f} s before the end of its plan: look at the "
             "program and at the messages there, then run the command again"
         )
 

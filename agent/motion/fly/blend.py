@@ -238,15 +238,15 @@ def corner_between(before: Segment, after: Segment, parameters: FlyParameters) -
     overlap = settings.fly_type is FlyType.FLY_NORM
     through = settings.fly_trajectory is FlyTrajectory.FLY_PASS
     kind: type[Corner] = Corner
-    turn = 0.5 * np.pi
+    right_angle = 0.5 * np.pi
     if isinstance(before, CartesianSegment) and isinstance(after, CartesianSegment):
-        kind, turn = CartesianCorner, _deflection(before, after)
-    family = "parabola" if parameters.blend == "circle" and turn < _STRAIGHT else parameters.blend
-    step = BlendStep(parameters.blend_shape, family, turn, parameters.blend_turn)
-    if turn > parameters.stop_angle:
+        kind, right_angle = CartesianCorner, _deflection(before, after)
+    family = "parabola" if parameters.blend == "circle" and right_angle < _STRAIGHT else parameters.blend
+    step = BlendStep(parameters.blend_shape, family, right_angle, parameters.blend_turn)
+    if right_angle > parameters.stop_angle:
         return None
     size = min(half, _reach(settings, half, before, parameters))
-    fineness = max(1.0, 0.5 / np.cos(0.5 * turn), 2.0 * size / SPACING / _CELLS)
+    fineness = max(1.0, 0.5 / np.cos(0.5 * right_angle), 2.0 * size / SPACING / _CELLS)
     cells = 2 * int(min(_MOST_CELLS, _CELLS * fineness) / 2)
 
     allowed = settings.fly_distance if through or settings.fly_trajectory is FlyTrajectory.FLY_TOL else np.inf
@@ -285,11 +285,11 @@ def _reach(settings: PathSettings, half: float, before: Segment, parameters: Fly
 
 
 def _deflection(before: CartesianSegment, after: CartesianSegment) -> float:
-    one, two = before.curve.directions()[1], after.curve.directions()[0]
-    sizes = rotation.length(one) * rotation.length(two)
+    incoming, outgoing = before.curve.directions()[1], after.curve.directions()[0]
+    sizes = rotation.length(incoming) * rotation.length(outgoing)
     if sizes < 1e-12:
         return 0.0
-    return float(np.arccos(min(max(one.dot(two) / sizes, -1.0), 1.0)))
+    return float(np.arccos(min(max(incoming.dot(outgoing) / sizes, -1.0), 1.0)))
 
 
 @lru_cache(maxsize=1000)

@@ -137,8 +137,8 @@ class _Blocks:
             return _length(start, peak, up, jerk) + _length(peak, end, down, jerk)
 
         peak = _largest(max(start, end), max(self.speed[k], start, end), lambda peak: needs(peak) <= length)
-        rest = max(length - needs(peak), 0.0)
-        flat = [(rest / max(peak, _SMALL), 0.0, 0.0)] if rest > _SMALL else []
+        cruise = max(length - needs(peak), 0.0)
+        flat = [(cruise / max(peak, _SMALL), 0.0, 0.0)] if cruise > _SMALL else []
         return [*_ramp_phases(start, peak, up, jerk), *flat, *_ramp_phases(peak, end, down, jerk)]
 
 

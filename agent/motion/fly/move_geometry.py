@@ -77,8 +77,8 @@ class Arc:
 
     def directions(self) -> tuple[np.ndarray, np.ndarray]:
         """dp/dσ (3,) at start and end."""
-        one, other = self.derivative(np.array([0.0, 1.0]))
-        return one, other
+        start, other = self.derivative(np.array([0.0, 1.0]))
+        return start, other
 
     def position(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 3) [m]"""

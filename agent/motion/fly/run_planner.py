@@ -80,7 +80,7 @@ class RunPlanner:
 
     def binding_limits(self, runs: Sequence[tuple[float, Run]]) -> tuple[BindingLimit, ...]:
         """The limits in force where runs, each from its `begin` [s] on, are slower than programmed."""
-        return tuple(one for begin, run in runs for one in _slowing(run, begin, self))
+        return tuple(limit for begin, run in runs for limit in _slowing(run, begin, self))
 
     def _run(self, segments: Sequence[Segment], corners: list[Corner], start: np.ndarray) -> Run:
         shape = self._path(segments, corners, start)
@@ -147,9 +147,9 @@ class RunPlanner:
             if len(here) == 0:
                 continue
             wanted = segment.configuration if isinstance(segment, CartesianSegment) else ""
-            found = segment.kinematics.configuration_text(path.q[here[-1]]) if wanted else ""
-            if found:
-                care, asked, has = segment.settings, parse_configuration(wanted), parse_configuration(found)
+            configuration = segment.kinematics.configuration_text(path.q[here[-1]]) if wanted else ""
+            if configuration:
+                care, asked, has = segment.settings, parse_configuration(wanted), parse_configuration(configuration)
                 turned = care.turn_care and asked.turns != has.turns
                 if turned or (care.configuration_care and asked.signs != has.signs):
                     raise MotionError(

@@ -110,18 +110,18 @@ class _Declarations:
         return name
 
     def _data_type(self, named: syntax.NamedType) -> DataType:
-        found = self._types.get(named.name)
-        if found is None:
+        data_type = self._types.get(named.name)
+        if data_type is None:
             reason = "is not a data type known here (INTEGER, REAL, BOOLEAN, POSITION, JOINTPOS)"
             raise Pdl2Error(reason, named.place)
         if named.size is None:
-            return found
+            return data_type
         size = evaluate(named.size, self._constants)
         if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= MAX_ARRAY:
             raise Pdl2Error(f"the size of an array is an integer in 1..{MAX_ARRAY}", named.size.place)
-        if found.size is not None:
+        if data_type.size is not None:
             raise Pdl2Error("is an array already; arrays of arrays are not read here", named.place)
-        return DataType(found.name, size)
+        return DataType(data_type.name, size)
 
 
 def _check_block(block: syntax.Block, memory: Memory) -> None:

@@ -98,9 +98,9 @@ def evaluate(node: syntax.Expression, memory: Memory, *wanted: str) -> Value:
             of its array, an overflow, a division by zero.
     """
     value = _value(node, memory)
-    found = _type(value)
-    if wanted and found not in wanted:
-        article = "predefined constant" if found == "predefined" else found
+    type_ = _type(value)
+    if wanted and type_ not in wanted:
+        article = "predefined constant" if type_ == "predefined" else type_
         raise Pdl2Error(f"is {article} where {' or '.join(wanted)} is needed", node.place)
     return value
 
@@ -134,8 +134,8 @@ def assigned_value(target: syntax.Name | syntax.Element, value: syntax.Expressio
     data_type = _declared(target, memory)
     if data_type.size is not None and isinstance(target, syntax.Name):
         raise Pdl2Error(f"is {data_type}; name one element as {target.word}[i]", target.place)
-    found: Any = evaluate(value, memory, *assignable(data_type.name))
-    return float(found) if data_type.name == "REAL" else found
+    evaluated: Any = evaluate(value, memory, *assignable(data_type.name))
+    return float(evaluated) if data_type.name == "REAL" else evaluated
 
 
 def setting_value(target: syntax.System, value: syntax.Expression, memory: Memory) -> Value:
@@ -149,10 +149,10 @@ def setting_value(target: syntax.System, value: syntax.Expression, memory: Memor
         if refusal := variable.refusal(PREDEFINED[value.name]):
             raise Pdl2Error(f"{target.name} {refusal}", value.place)
         return PREDEFINED[value.name]
-    found = evaluate(value, memory, *assignable(variable.kind))
-    if not memory.checking and (refusal := variable.refusal(found)):  # type: ignore[arg-type]  # none is of joints
+    evaluated = evaluate(value, memory, *assignable(variable.kind))
+    if not memory.checking and (refusal := variable.refusal(evaluated)):  # type: ignore[arg-type]  # none is of joints
         raise Pdl2Error(refusal, target.place)
-    return found
+    return evaluated
 
 
 def check_variable(target: syntax.Name | syntax.Element, memory: Memory) -> None:

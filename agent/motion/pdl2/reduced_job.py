@@ -112,20 +112,20 @@ def _read_listing(text: str) -> dict[str, Listed]:
     one of them is listed as a move to a position without a value.
     """
     entries = list(_ENTRY.finditer(text))
-    found = {}
+    listed = {}
     for entry, following in zip_longest(entries, entries[1:]):
         kind = entry[2]
         value = _listed_value(kind, text[entry.end() : following.start() if following else None])
         if value is not None:
-            found[entry[1].lower()] = Listed(_TYPES[kind], value)
-    return found
+            listed[entry[1].lower()] = Listed(_TYPES[kind], value)
+    return listed
 
 
-def _listed_value(kind: str, rest: str) -> str | None:
-    head = _HEAD.match(rest)
+def _listed_value(kind: str, text: str) -> str | None:
+    head = _HEAD.match(text)
     if kind not in _TYPES or head is None or head[1] not in (None, "1"):
         return None
-    body = rest[head.end() :]
+    body = text[head.end() :]
     if kind in ("INT", "REA", "BOO"):
         plain = _PLAIN.match(body)
         return plain[1] if plain else None
@@ -170,7 +170,9 @@ class _Sieve:
         """
         at = place.line - 1
         line = self.out[at] if 0 <= at < len(self.out) else ""
-        setting = next((one for one in _SETTING.finditer(line) if one.start() <= place.column - 1 < one.end()), None)
+        setting = next(
+            (match for match in _SETTING.finditer(line) if match.start() <= place.column - 1 < match.end()), None
+        )
         first = _FIRST.match(line.strip())
         if setting is not None:
             name = setting["name"].upper().replace("$ARM_DATA[1].", "$")
@@ -259,9 +261,9 @@ class _Sieve:
         bare = self._bare[at].strip()
         if _MOVE.match(bare):
             return self._move(at, out)
-        found = _MOVES.search(_STRING.sub("", self._bare[at]))
-        if found:
-            raise Pdl2Error("moves, but not in a statement of its own line", self._place(at, found[0]))
+        move = _MOVES.search(_STRING.sub("", self._bare[at]))
+        if move:
+            raise Pdl2Error("moves, but not in a statement of its own line", self._place(at, move[0]))
         word = _FIRST.match(bare)
         first = word[0].lower() if word else ""
         for name in re.findall(r"\w+", _STRING.sub("", bare)):
@@ -305,9 +307,9 @@ class _Sieve:
         """A line of a move without the conditions that are enabled on the way, and those that end it: they move
         nothing, and where it is meant to go stays the same."""
 
-        def blank(found: re.Match[str]) -> str:
-            self.passed["TIL" if found[0].upper().startswith("TIL") else "WITH"] += 1
-            return " " * len(found[0])
+        def blank(match: re.Match[str]) -> str:
+            self.passed["TIL" if match[0].upper().startswith("TIL") else "WITH"] += 1
+            return " " * len(match[0])
 
         return re.sub(r",(\s*),", r",\1 ", _ON_THE_WAY.sub(blank, line))
 
@@ -316,7 +318,7 @@ class _Sieve:
         values = {self._constants.get(arm.lower(), arm)}
         if values == {arm} and not arm.isdigit():
             pattern = re.compile(rf"\b{arm}\s*:=\s*(\w+)", re.IGNORECASE)
-            values = {found[1] for bare in self._bare for found in pattern.finditer(bare)}
+            values = {match[1] for bare in self._bare for match in pattern.finditer(bare)}
         if values != {"1"}:
             raise Pdl2Error("is another arm, or not known to be arm 1", self._place(at, arm))
 
@@ -330,6 +332,6 @@ class _Sieve:
 
 def _without_comment(line: str) -> str:
     """The line without its comment; two dashes in a string begin none."""
-    blind = _STRING.sub(lambda found: "x" * len(found[0]), line)
+    blind = _STRING.sub(lambda match: "x" * len(match[0]), line)
     at = blind.find("--")
     return line if at < 0 else line[:at].rstrip()

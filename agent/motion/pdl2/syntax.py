@@ -386,7 +386,7 @@ def _for_arm(*words: Token) -> None:
 
 def _program(name: Token, attributes: tuple[Attribute, ...], *rest: Any) -> ProgramTree:
     *sections, (cycle, block, end) = rest
-    return ProgramTree(name, attributes, tuple(one for section in sections for one in section), cycle, block, end)
+    return ProgramTree(name, attributes, tuple(entry for section in sections for entry in section), cycle, block, end)
 
 
 def _move(word: Token, trajectory: str, _to: Token, target: Expression, clauses: list[Any]) -> MoveStatement:

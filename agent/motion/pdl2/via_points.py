@@ -47,20 +47,20 @@ def via_points(
     Raises:
         InputError: a move that points cannot say.
     """
-    left = [*chains]
+    remaining = [*chains]
     points: list[ViaPoint] = []
     own = tool_frame(tool)
     for moves in stop_to_stop(statements):
         for move in moves:
             if move.settings.tool is not None and np.abs(np.array(move.settings.tool) - own).max() > _SAME:
                 raise InputError(_cannot(name, move, "one tool, the recipe's"))
-        if left and _is_plan_of(left[0], moves):
-            chain = left.pop(0)
+        if remaining and _is_plan_of(remaining[0], moves):
+            chain = remaining.pop(0)
             if len(moves) == 1 and moves[0].type is MoveType.JOINT:
                 points += _along(chain)
             else:
                 points += [_point(move, index, chain, name, robot, tool) for index, move in enumerate(moves)]
-    if left:
+    if remaining:
         raise InputError(f"program {name}: its plan and its moves do not belong together; plan again")
     return tuple(points)
 

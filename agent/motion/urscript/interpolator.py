@@ -75,7 +75,8 @@ class UrLaw:
                 do: names move, limit and amount.
         """
         moves = [
-            replace(one, settings=_LawSettings.of_move(one)) if isinstance(one, Move) else one for one in statements
+            replace(statement, settings=_LawSettings.of_move(statement)) if isinstance(statement, Move) else statement
+            for statement in statements
         ]
         return self._fly.plan(moves, start)
 
@@ -85,7 +86,9 @@ class _Planner(RunPlanner):
 
     def timed(self, shape: PathShape, segments: Sequence[Segment]) -> Run:
         run = plan_blocks(shape, segments, _limits(segments, self.robot.dof), self.period, self.parameters)
-        worst = max((*_overlaps(segments), *self._beyond(run, segments)), key=lambda one: one.excess, default=None)
+        worst = max(
+            (*_overlaps(segments), *self._beyond(run, segments)), key=lambda violation: violation.excess, default=None
+        )
         if worst is not None:
             raise worst
         return run
@@ -119,10 +122,12 @@ class _Planner(RunPlanner):
 
 def _limits(segments: Sequence[Segment], joints: int) -> ArmLimits:
     """Speed limit: that of the leading joint in joint moves, else the program's own."""
-    settings = [one.settings for one in segments if isinstance(one, JointSegment)]
-    speed = min((one.joint_speed for one in settings if isinstance(one, _LawSettings)), default=np.inf)
-    acceleration = min((one.joint_acceleration for one in settings if isinstance(one, _LawSettings)), default=np.inf)
-    turning = any(isinstance(one, CartesianSegment) and one.turning > 0.0 for one in segments)
+    settings = [segment.settings for segment in segments if isinstance(segment, JointSegment)]
+    speed = min((segment.joint_speed for segment in settings if isinstance(segment, _LawSettings)), default=np.inf)
+    acceleration = min(
+        (segment.joint_acceleration for segment in settings if isinstance(segment, _LawSettings)), default=np.inf
+    )
+    turning = any(isinstance(segment, CartesianSegment) and segment.turning > 0.0 for segment in segments)
     tool = CartesianLimits(np.inf, _WHOLE, np.inf, _WHOLE if turning else np.inf)
     return ArmLimits(np.full(joints, speed), np.full(joints, acceleration), np.full(joints, np.inf), tool)
 

@@ -50,7 +50,9 @@ def check_text(text: str, path: str) -> None:
         UrScriptError: names path and line.
     """
     for number, row in enumerate(text.split("\n"), 1):
-        if (wrong := next((one for one in row if not (one.isprintable() or one == "\t")), None)) is not None:
+        if (
+            wrong := next((character for character in row if not (character.isprintable() or character == "\t")), None)
+        ) is not None:
             raise UrScriptError(f"{path}:{number}: the character {wrong!r} may end a line or hide one; take it out")
     for number, code in rows_of(text):
         end = 0
@@ -144,7 +146,7 @@ def check_preamble(lines: list[ScriptLine], path: str) -> None:
 
 def waits(line: ScriptLine) -> bool:
     """Whether the body of a loop does nothing but wait."""
-    return all(one.word == "do" and re.fullmatch(f"{STILL.pattern}|sleep", _called(one)) for one in line.block)
+    return all(called.word == "do" and re.fullmatch(f"{STILL.pattern}|sleep", _called(called)) for called in line.block)
 
 
 def _all(lines: list[ScriptLine]) -> Iterator[ScriptLine]:
@@ -212,12 +214,12 @@ def _check_expression(tree: ast.expr) -> None:
             raise ValueError(f"the function {name} is not understood within an expression")
         case _:
             raise ValueError("is no expression that is understood")
-    for one in inner:
-        _check_expression(one)
+    for part in inner:
+        _check_expression(part)
 
 
 def _arguments(call: ast.Call) -> list[ast.expr]:
-    return list(chain(call.args, (one.value for one in call.keywords)))
+    return list(chain(call.args, (keyword.value for keyword in call.keywords)))
 
 
 def _called(line: ScriptLine) -> str:

@@ -217,12 +217,12 @@ class _ScriptRun:
         name = tree.func.id
         if STILL.fullmatch(name):
             return
-        given = [self._evaluated(one) for one in tree.args]
-        named = {str(one.arg): self._evaluated(one.value) for one in tree.keywords}
+        given = [self._evaluated(argument) for argument in tree.args]
+        named = {str(argument.arg): self._evaluated(argument.value) for argument in tree.keywords}
         if name in self._defined:
             header = HEADER.match(self._defined[name].text)
             assert header is not None
-            parameters = [one.partition("=")[0].strip() for one in header[2].split(",")]
+            parameters = [argument.partition("=")[0].strip() for argument in header[2].split(",")]
             self._values |= dict(zip(parameters, given, strict=False)) | named
             yield from self.block(self._defined[name].block, depth + 1)
         elif name == "sleep":
@@ -273,7 +273,7 @@ class _ScriptRun:
             case ast.Name() if node.id in self._values:
                 return self._values[node.id]
             case ast.List() | ast.Tuple():
-                return [self._evaluated(one) for one in node.elts]
+                return [self._evaluated(element) for element in node.elts]
             case ast.Subscript(value=ast.Name(id="p")):
                 fields = np.array(self._evaluated(node.slice), dtype=float)
                 if fields.shape != (6,):
@@ -286,10 +286,10 @@ class _ScriptRun:
                 parts = [part for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr)]
                 return _OPERATORS[type(of)](*(self._evaluated(part) for part in parts))
             case ast.BoolOp():
-                values = [bool(self._evaluated(one)) for one in node.values]
+                values = [bool(self._evaluated(element)) for element in node.values]
                 return all(values) if isinstance(node.op, ast.And) else any(values)
             case ast.Call(func=ast.Name(id=name)) if name in _FUNCTIONS:
-                return _FUNCTIONS[name](*(self._evaluated(one) for one in node.args))
+                return _FUNCTIONS[name](*(self._evaluated(element) for element in node.args))
             case ast.Name() | ast.Call():
                 raise _Outside
         raise ValueError("is no expression that is understood")

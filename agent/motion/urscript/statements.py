@@ -47,7 +47,7 @@ def rows_of(text: str) -> list[tuple[int, str]]:
     return [
         (number, stripped)
         for number, row in enumerate(text.split("\n"), 1)
-        if (stripped := _COMMENT.sub(lambda found: found[1] or "", row).strip())
+        if (stripped := _COMMENT.sub(lambda match: match[1] or "", row).strip())
     ]
 
 

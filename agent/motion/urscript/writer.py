@@ -59,8 +59,8 @@ class ScriptWriter:
         if self._frames is None:
             self._frames, changed = before, []
         self._said = before
-        targets = [one for one in (statement.via, statement.target) if one is not None]
-        where = ", ".join(self._target(one) for one in targets)
+        targets = [target for target in (statement.via, statement.target) if target is not None]
+        where = ", ".join(self._target(target) for target in targets)
         joint = statement.type is MoveType.JOINT
         acceleration = settings.joint_acceleration if joint else settings.linear_acceleration
         speed = (settings.joint_speed if joint else settings.linear_speed) * settings.speed_override

@@ -26,13 +26,15 @@ def friction_section(predictions: Sequence[Prediction]) -> Section:
     model = predictions[0].model
     robot = model.robot
     speed = np.concatenate([axle_motion(robot, prediction.velocity) for prediction in predictions])
-    rest = np.concatenate([p.measured - p.predicted + p.friction for p in predictions]) @ np.linalg.inv(robot.coupling)
+    axle_torque = np.concatenate([p.measured - p.predicted + p.friction for p in predictions]) @ np.linalg.inv(
+        robot.coupling
+    )
     panels = []
     for axle in worst_first(robot, pooled_rmse(predictions)):
         top = float(np.abs(speed[:, axle]).max())
         if top <= 0:
             continue
-        middle, mean = _means(speed[:, axle], rest[:, axle], top)
+        middle, mean = _means(speed[:, axle], axle_torque[:, axle], top)
         x = np.unique(np.concatenate([top * np.linspace(-1, 1, _GRID), middle]))
         dots = np.full(len(x), np.nan)
         dots[np.searchsorted(x, middle)] = mean

@@ -99,7 +99,9 @@ def motion_section(loop: ShownLoop) -> Section:
     speed = Panel("speed of the tool", "m/s", (tool,), marks=wanted, from_zero=True)
     shares = {kind: joint_series(recipe.robot.joint_names, 100 * values) for kind, values in use.items()}
     limit = {"limit": 100.0}
-    margins = [Panel(f"use of the {kind} limit", "%", one, marks=limit, from_zero=True) for kind, one in shares.items()]
+    margins = [
+        Panel(f"use of the {kind} limit", "%", share, marks=limit, from_zero=True) for kind, share in shares.items()
+    ]
     caption = "Use of the limits of the joints along one cycle, in % of each."
     plots = (
         Plot("speed", "Speed of the tool along one cycle.", "time", (speed,), t, "s", link="cycle"),
@@ -108,11 +110,11 @@ def motion_section(loop: ShownLoop) -> Section:
     return Section("Motion", text, (scene, *plots))
 
 
-def search_section(found: Mapping[str, Any]) -> Section:
+def search_section(search: Mapping[str, Any]) -> Section:
     """Fitness over the generations, of a search as `plan.json` has it."""
-    best, mean = (np.array(found["history"][key], dtype=float) for key in ("best", "mean"))
+    best, mean = (np.array(search["history"][key], dtype=float) for key in ("best", "mean"))
     text = (
-        f"Fitness {found['fitness']:.2f} after {found['evaluated']} candidates, each simulated with the interpolator.",
+        f"Fitness {search['fitness']:.2f} after {search['evaluated']} candidates, simulated with the interpolator.",
         "Fitness is log10 det(HᵀH/M), with the observation matrix H of M samples. One more means ten times the "
         "information about all parameters together. Compare it only between loops of one robot.",
     )
@@ -122,17 +124,17 @@ def search_section(found: Mapping[str, Any]) -> Section:
     return Section("Search", text, (Plot("search-history", caption, "generation", (panel,), generations),))
 
 
-def plan_report(loop: ShownLoop, found: Mapping[str, Any], program: str) -> str:
+def plan_report(loop: ShownLoop, search: Mapping[str, Any], program: str) -> str:
     """HTML text of a plan, before anything moves."""
     recipe, largest = loop.recipe, max(100 * float(values.max()) for values in loop.limit_use.values())
     headline = f"The motion keeps all limits. One cycle takes {loop.duration:.1f} s."
     facts = [
         ("limits", f"at most {largest:.0f} % of any joint's position, speed or acceleration limit"),
-        ("fitness", f"{found['fitness']:.2f}, log10 det(HᵀH/M); higher is better"),
+        ("fitness", f"{search['fitness']:.2f}, log10 det(HᵀH/M); higher is better"),
     ]
     command = f"agent calibrate {shlex.quote(str(recipe.path))}"
     steps = [NextStep("watch the arm below; if its way is clear, run the whole job (the arm moves):", command)]
     listing = Section("Program", ("What the controller will be sent.",), (), program)
-    sections = (motion_section(loop), search_section(found), listing)
+    sections = (motion_section(loop), search_section(search), listing)
     about = About("What will the arm do?", facts, steps)
     return render(Page(f"Plan for {recipe.robot.name}", headline, "plain", sections, about))

@@ -50,25 +50,25 @@ def _known(value: float, deviation: float) -> str:
 def observation_section(model: IdentifiedModel, log: Log) -> Section:
     """What a model's own motion shows of its parameters: condition number of the fit, singular values, the directions
     seen least, and what is not identifiable."""
-    found = observability(model, log)
-    combined = counted(found.combined, "standard parameter")
-    hidden = f" No motion of this arm shows {', '.join(found.never_acting)}." if found.never_acting else ""
+    observed = observability(model, log)
+    combined = counted(observed.combined, "standard parameter")
+    hidden = f" No motion of this arm shows {', '.join(observed.never_acting)}." if observed.never_acting else ""
     text = [
-        f"{found.parameters} parameters. Condition number {judged_condition(model.condition_number)}.",
+        f"{observed.parameters} parameters. Condition number {judged_condition(model.condition_number)}.",
         "It is that of the weighted observation matrix that the model was estimated from, columns scaled to unit "
         "length. Singular values and directions are those along one cycle, rows weighted by the residuals.",
         f"In combinations alone: {combined} of the links, listed with the parameters.{hidden}",
         "Not significantly different from zero on this motion (the 95 % interval contains it): "
-        f"{', '.join(found.within_noise)}."
-        if found.within_noise
+        f"{', '.join(observed.within_noise)}."
+        if observed.within_noise
         else "Every parameter differs significantly from zero on this motion (95 %).",
     ]
     rows = []
-    for k, (value, parts) in enumerate(found.weakest):
+    for k, (value, parts) in enumerate(observed.weakest):
         direction = " ".join(f"{part:+.2f} {name}" for name, part in parts.items()).removeprefix("+")
         rows.append((str(k + 1), f"{value:.2g}", direction))
     directions = Table("directions", ("seen least", "singular value over the largest", "direction"), rows)
-    values = found.singular_values
+    values = observed.singular_values
     decades = np.log10(np.maximum(values / values[0], 1e-9))
     marks = {f"a condition number of {USUAL_CONDITION}": -np.log10(USUAL_CONDITION)}
     panel = Panel("singular values", "log10 of value / largest", (Series("value / largest", decades),), marks=marks)

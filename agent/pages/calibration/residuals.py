@@ -49,9 +49,9 @@ def residual_map(predictions: Sequence[Prediction]) -> np.ndarray:
         rate = 1 / float(np.median(np.diff(prediction.time)))
         q, qd, qdd, load = prediction.position, prediction.velocity, prediction.acceleration, prediction.predicted
         for joint, square in enumerate(prediction.error.T**2):
-            found = regime_masks(q[:, joint], qd[:, joint], qdd[:, joint], load[:, joint], float(slowest[joint]), rate)
-            total[joint] += [square[inside].sum() for inside in found.values()]
-            count[joint] += [inside.sum() for inside in found.values()]
+            masks = regime_masks(q[:, joint], qd[:, joint], qdd[:, joint], load[:, joint], float(slowest[joint]), rate)
+            total[joint] += [square[inside].sum() for inside in masks.values()]
+            count[joint] += [inside.sum() for inside in masks.values()]
     with np.errstate(divide="ignore", invalid="ignore"):
         rmse = np.sqrt(total / count)
     nominal = robot.nominal_torque

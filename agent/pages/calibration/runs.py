@@ -110,8 +110,8 @@ def recalibration_report(data: RunContent, comparison: Comparison) -> str:
 
 def _verdict_first(data: RunContent, prediction: Section) -> list[Section | None]:
     """How well the model predicts, and the diagnosis, which comes first if one was needed."""
-    found = diagnosis_sections(data.result["diagnosis"], data.result["reference"])
-    return [*found, prediction] if data.result["diagnosis"] else [prediction, *found]
+    sections = diagnosis_sections(data.result["diagnosis"], data.result["reference"])
+    return [*sections, prediction] if data.result["diagnosis"] else [prediction, *sections]
 
 
 def _page(data: RunContent, title: str, headline: str, sections: Sequence[Section | None]) -> str:

@@ -25,10 +25,10 @@ def regime_map(diagnosis: Diagnosis) -> Table:
     dataset = diagnosis.dataset
     values = np.full((dataset.robot.dof, len(REGIMES)), np.nan)
     for joint in range(dataset.robot.dof):
-        found = masks(dataset, joint)
+        by_regime = masks(dataset, joint)
         relative = (diagnosis.gap.raw[:, joint] / dataset.fit.sigma[:, joint]) ** 2
         for column, regime in enumerate(REGIMES):
-            here = found[regime] & np.isfinite(relative)
+            here = by_regime[regime] & np.isfinite(relative)
             if here.any():
                 values[joint, column] = np.sqrt(np.mean(relative[here]))
     caption = "Error by joint (rows) and regime (columns), in units of the model's held-out error. About 1 is normal."
@@ -142,14 +142,14 @@ def waterfall(steps: Sequence[Mapping[str, Any]]) -> tuple[str, Table]:
         "the rest sum to the whole gap. Alone: what a step closes by itself."
     )
     rows: list[tuple[str | Bars, ...]] = []
-    left = 100.0
+    remaining = 100.0
     for entry in steps:
         closes, (low, high) = 100 * entry["closes"], entry["interval"]
-        rest = entry is steps[-1]
-        bar = Bar(0.0, closes, SERIES[1]) if rest else Bar(left - closes, left, SERIES[0])
+        is_remainder = entry is steps[-1]
+        bar = Bar(0.0, closes, SERIES[1]) if is_remainder else Bar(remaining - closes, remaining, SERIES[0])
         alone = "-" if entry["alone"] is None else f"{100 * entry['alone']:.1f} %"
         rows.append((entry["step"], f"{closes:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %", alone, Bars([bar])))
-        left -= closes
+        remaining -= closes
     caption = "Each step removes its bar from the gap; the last bar remains."
     header = ("step", "closes", "90 % interval", "alone", "gap that remains")
     return text, Table("waterfall", header, rows, caption=caption)
@@ -157,8 +157,8 @@ def waterfall(steps: Sequence[Mapping[str, Any]]) -> tuple[str, Table]:
 
 def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Plot:
     """Torque and position error of the simulation on the joint where the effects change most, first log."""
-    one, robot = simulated[0], diagnosis.dataset.robot
-    change = np.sqrt(np.mean((one.torque_before - one.torque_after) ** 2, axis=0))
+    first, robot = simulated[0], diagnosis.dataset.robot
+    change = np.sqrt(np.mean((first.torque_before - first.torque_after) ** 2, axis=0))
     joint = worst_first(robot, change)[0]
     panels = []
     for kind, scale, unit in (
@@ -166,9 +166,9 @@ def simulated_torque(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Pl
         ("position", 1e3, "mm" if robot.joints[joint].prismatic else "mrad"),
     ):
         series = [
-            Series(word, scale * getattr(one, f"{kind}_{side}")[:, joint], colour=colour)
+            Series(word, scale * getattr(first, f"{kind}_{side}")[:, joint], colour=colour)
             for side, colour, word in (("before", SERIES[1], "model alone"), ("after", SERIES[0], "with the effects"))
         ]
         panels.append(Panel(kind, unit, series))
-    caption = f"Measured less simulated on {robot.joint_names[joint]}, {one.log}: torque and position."
-    return Plot("simulation-error", caption, "time", tuple(panels), one.time, "s")
+    caption = f"Measured less simulated on {robot.joint_names[joint]}, {first.log}: torque and position."
+    return Plot("simulation-error", caption, "time", tuple(panels), first.time, "s")

@@ -244,11 +244,15 @@ def _hypotheses_section(diagnosis: Diagnosis) -> Section:
     named = {candidate.place for candidate in selected.causes}
     rivals = {place for several in selected.rivals for place in several}
     rows = []
-    for one in selected.hypotheses[:_MOST_HYPOTHESES]:
-        effects = [candidate.text(names) for candidate in one.effects]
-        effects += [f"something else on {names[joint]}" for joint in one.free]
-        figures = (f"{one.log_bayes_factor:.1f}", f"{one.probability:.3f}", f"{100 * one.explained:.0f} %")
-        places = set(one.places)
+    for hypothesis in selected.hypotheses[:_MOST_HYPOTHESES]:
+        effects = [candidate.text(names) for candidate in hypothesis.effects]
+        effects += [f"something else on {names[joint]}" for joint in hypothesis.free]
+        figures = (
+            f"{hypothesis.log_bayes_factor:.1f}",
+            f"{hypothesis.probability:.3f}",
+            f"{100 * hypothesis.explained:.0f} %",
+        )
+        places = set(hypothesis.places)
         equal = "as good: these logs do not distinguish it" if len(places) == 1 and places <= rivals else ""
         rows.append((" + ".join(effects) or "no effect", *figures, "named" if named and places == named else equal))
     text = [

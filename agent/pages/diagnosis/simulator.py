@@ -21,12 +21,17 @@ def waterfall_section(diagnosis: Diagnosis) -> Section | None:
 
 def ranges_section(result: Mapping[str, Any]) -> Section | None:
     """Ranges of the corrected parameters for training."""
-    found = tuple(Range(**one) for one in result.get("ranges", ()))
-    if not found:
+    intervals = tuple(Range(**interval) for interval in result.get("ranges", ()))
+    if not intervals:
         return None
     rows = [
-        (f"{one.of}, {one.parameter}", f"{one.value:.4g}", f"{one.low:.4g} to {one.high:.4g}", one.unit)
-        for one in found
+        (
+            f"{interval.of}, {interval.parameter}",
+            f"{interval.value:.4g}",
+            f"{interval.low:.4g} to {interval.high:.4g}",
+            interval.unit,
+        )
+        for interval in intervals
     ]
     text = (
         "Remaining uncertainty (90 %) of each corrected parameter: use it as the range for domain randomisation. "
@@ -34,7 +39,7 @@ def ranges_section(result: Mapping[str, Any]) -> Section | None:
         "range, but not all at once. As YAML below.",
     )
     table = Table("ranges", ("number", "value", "range", "unit"), rows)
-    return Section("For training policies", text, (table,), ranges_text(found))
+    return Section("For training policies", text, (table,), ranges_text(intervals))
 
 
 def drift_section(forward: Mapping[str, Any] | None) -> Section | None:

@@ -74,18 +74,20 @@ def rounds_section(rounds: Sequence[Mapping[str, Any]] | None, end: str) -> Sect
     if rounds is None:
         return None
     rows = []
-    for number, one in enumerate(rounds, start=1):
-        pairs = "; ".join(" or ".join(entry["pair"]) for entry in one["probability"])
-        chances = "; ".join(f"{entry['before']:.2f}, {entry['after']:.2f}" for entry in one["probability"])
-        rows.append((str(number), pairs, f"{one['motion']} ({one['duration_s']:.0f} s)", chances, _answer(one)))
+    for number, round_ in enumerate(rounds, start=1):
+        pairs = "; ".join(" or ".join(entry["pair"]) for entry in round_["probability"])
+        chances = "; ".join(f"{entry['before']:.2f}, {entry['after']:.2f}" for entry in round_["probability"])
+        rows.append(
+            (str(number), pairs, f"{round_['motion']} ({round_['duration_s']:.0f} s)", chances, _answer(round_))
+        )
     first = "Each round runs the motion that most likely settles what is still open."
     text = [first if rows else "No further motion was run.", *([f"After that: {end}."] if end else [])]
     header = ("round", "question", "motion", "right answer, before and after", "answer")
     return Section("Results of further motions", text, (Table("rounds", header, rows),) if rows else ())
 
 
-def _answer(one: Mapping[str, Any]) -> str:
-    if not one.get("verdict"):
+def _answer(round_: Mapping[str, Any]) -> str:
+    if not round_.get("verdict"):
         return "none: interrupted"
-    causes = [f"{cause['effect']} on {place(cause)}" for cause in one["causes"]]
-    return f"{one['verdict']}: {', '.join(causes)}" if causes else str(one["verdict"])
+    causes = [f"{cause['effect']} on {place(cause)}" for cause in round_["causes"]]
+    return f"{round_['verdict']}: {', '.join(causes)}" if causes else str(round_["verdict"])

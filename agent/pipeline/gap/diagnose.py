@@ -53,8 +53,8 @@ def diagnose_files(
     source = robot.name if isinstance(robot, RobotDescription) else robot
     arm = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
     question.check(paths)
-    found = find(arm, paths, question, console)
-    for result in _published(found, question, console, source, paths):
+    run = find(arm, paths, question, console)
+    for result in _published(run, question, console, source, paths):
         told(result)
     return result
 
@@ -101,10 +101,10 @@ def diagnose_recording(
         paths = [recording.path for recording in recordings]
         rounds = None
         if budget is not None:
-            left = budget - sum(one.duration for one in recordings)
+            remaining = budget - sum(one.duration for one in recordings)
             with job.step("rounds"):
                 found_in = partial(find, loaded.robot, question=question, console=console)
-                rounds = until_sure(found_in, paths, job, left, question.planning_budget)
+                rounds = until_sure(found_in, paths, job, remaining, question.planning_budget)
                 if rounds.cut_short is not None:
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
                     console.say(f"result of the earlier motions: {in_short(rounds.last.result)}{more or ''}")
@@ -151,18 +151,18 @@ def _answer_run(
 ) -> dict[str, Any]:
     """Result and page of all motions of a run, written into its folder; `paths` are the logs before the `rounds`."""
     logs = [*paths, *(rounds.logs if rounds else ())]
-    found = rounds.last if rounds else find(job.recipe.robot, logs, question, job.console)
-    found = replace(found, simulator=simulator)
+    diagnosed = rounds.last if rounds else find(job.recipe.robot, logs, question, job.console)
+    diagnosed = replace(diagnosed, simulator=simulator)
     shown = [*logs, *([rounds.uncounted] if rounds and rounds.uncounted else [])]
     page = job.run.file("report.html")
-    for result in _published(found, question, job.console, job.recipe.robot_source, shown, rounds, page):
+    for result in _published(diagnosed, question, job.console, job.recipe.robot_source, shown, rounds, page):
         job.run.write_json("result.json", result)
         told(result)
     return result
 
 
 def _published(
-    found: DiagnosisRun,
+    run: DiagnosisRun,
     question: GapQuestion,
     console: Console,
     source: str | None,
@@ -175,27 +175,27 @@ def _published(
     `source` names the robot, `page` is one in addition to that of the question.
     """
     recipe = question.next_recipe if rounds is None else rounds.recipe
-    for result in _results(found, question, console, rounds):
+    for result in _results(run, question, console, rounds):
         steps = after_diagnosis(result, source, logs, question, recipe)
         result = {**result, "summary": summary(result, steps)}
         yield result
         if wanted := [one for one in (page, question.report) if one is not None]:
-            html = diagnosis_report(found.diagnosis, found.simulated, steps, result)
+            html = diagnosis_report(run.diagnosis, run.simulated, steps, result)
             for one in wanted:
                 write_atomically(one, html)
 
 
 def _results(
-    found: DiagnosisRun, question: GapQuestion, console: Console, rounds: Rounds | None
+    run: DiagnosisRun, question: GapQuestion, console: Console, rounds: Rounds | None
 ) -> Iterator[dict[str, Any]]:
     """The result of a diagnosis, and again with each motion that is planned, and with what stopped the planning.
 
     Last, the model or the simulator that is asked for is written. `rounds` are those of the diagnosed logs.
     """
-    diagnosis, simulator = found.diagnosis, found.simulator
+    diagnosis, simulator = run.diagnosis, run.simulator
     for warning in diagnosis.warnings:
         console.warn(warning)
-    result = {**found.result, "simulation": simulation_part(diagnosis, found.simulated)}
+    result = {**run.result, "simulation": simulation_part(diagnosis, run.simulated)}
     result |= rounds.to_dict() if rounds is not None else {}
     correction = None if simulator is None else supported_correction(diagnosis, simulator)
     if simulator is not None and correction is not None and diagnosis.dataset.servos is None:
@@ -219,14 +219,14 @@ def _results(
         _write_model(diagnosis, question.out, console)
 
 
-def _planned(found: Diagnosis, question: GapQuestion, console: Console) -> Iterator[dict[str, Any]]:
+def _planned(diagnosis: Diagnosis, question: GapQuestion, console: Console) -> Iterator[dict[str, Any]]:
     """`next_experiment`: the next motion, then that with a known mass if it makes the answer clearer."""
     assert question.next_recipe is not None
     assert question.out is not None
     load = None if question.next_payload is None else payload_of(question.next_payload)
     recipe = load_recipe(question.next_recipe)
     deadline = Deadline(console.progress, question.planning_budget)
-    motion = plan_next(found, recipe, console, load=load, deadline=deadline)
+    motion = plan_next(diagnosis, recipe, console, load=load, deadline=deadline)
     if isinstance(motion, NoMotion):
         if not motion.separates:
             console.warn(f"{motion.text}; nothing is written to {question.out}")
@@ -234,19 +234,19 @@ def _planned(found: Diagnosis, question: GapQuestion, console: Console) -> Itera
         return
     planned = write_next(motion, question.out)
     yield {"next_experiment": planned}
-    if (mass := clearer_loaded(found, recipe, motion, console, deadline)) is not None:
+    if (mass := clearer_loaded(diagnosis, recipe, motion, console, deadline)) is not None:
         yield {"next_experiment": {**planned, "with_a_mass": mass.to_dict()}}
 
 
-def _write_model(found: Diagnosis, out: Path, console: Console) -> None:
+def _write_model(diagnosis: Diagnosis, out: Path, console: Console) -> None:
     """Write the model with the effects found; warns of effects that no model holds."""
-    model = extended_model(found)
-    left_out = [c["effect"] for c in found.result["causes"] if c["effect"] not in {e.effect for e in model.effects}]
+    model = extended_model(diagnosis)
+    left_out = [c["effect"] for c in diagnosis.result["causes"] if c["effect"] not in {e.effect for e in model.effects}]
     for name in left_out:
         why = "it happened once" if CATALOGUE[name].transient else "it is in the set-points only"
         console.warn(f"{out}: {name} is left out of the model: {why}")
-    if not found.result["causes"]:
+    if not diagnosis.result["causes"]:
         console.warn(f"{out}: no effect was found, so the model is unchanged")
-    if len(model.effects) == len(found.dataset.model.effects):
-        model = found.dataset.model
+    if len(model.effects) == len(diagnosis.dataset.model.effects):
+        model = diagnosis.dataset.model
     model.save(out)

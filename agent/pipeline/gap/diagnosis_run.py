@@ -64,7 +64,7 @@ def find(
         check_torque(logs)
         check_plausible(robot, logs, question.force, console, described=described, model=reference)
     console.step("comparing model and robot")
-    found = diagnose(
+    diagnosis = diagnose(
         robot,
         logs,
         reference,
@@ -76,17 +76,19 @@ def find(
         known_kp="kp" in question.known,
     )
     if by_position:
-        return DiagnosisRun(found, [], simulator)
-    say_used(logs, found.dataset.cutoff, found.dataset.model.order, console)
+        return DiagnosisRun(diagnosis, [], simulator)
+    say_used(logs, diagnosis.dataset.cutoff, diagnosis.dataset.model.order, console)
     console.step("simulating with and without the effects")
     simulated: list[Simulated] = []
     failed = ""
     try:
-        simulated = simulate(found)
+        simulated = simulate(diagnosis)
     except (AgentError, ArithmeticError, ValueError) as error:
         failed = f"the forward simulation failed; the verdict does not depend on it: {error}"
-    warnings = (*found.warnings, *filter(None, [failed]))
-    return DiagnosisRun(replace(found, document=replace(found.document, warnings=warnings)), simulated, simulator)
+    warnings = (*diagnosis.warnings, *filter(None, [failed]))
+    return DiagnosisRun(
+        replace(diagnosis, document=replace(diagnosis.document, warnings=warnings)), simulated, simulator
+    )
 
 
 def read_at_rest(
@@ -125,7 +127,7 @@ def read_reference(
         log_joints = read_log(paths[0], topic=question.topic).joint_names
         if is_nameless(log_joints):
             log_joints = joints_of(paths[0], question.model, question.topic)
-    found = load_simulator(question.model, robot, log_joints, names)
-    for note in found.notes:
+    simulator = load_simulator(question.model, robot, log_joints, names)
+    for note in simulator.notes:
         console.warn(f"{question.model.name}: {note}")
-    return found.model, found
+    return simulator.model, simulator

@@ -27,7 +27,7 @@ _SAME_ARM, _SAME_NAME = 0.15, 0.05
 
 
 def plan_next(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     recipe: Recipe,
     console: Console,
     seconds: float = LONGEST,
@@ -40,16 +40,16 @@ def plan_next(
     Raises:
         InputError: the recipe is of another robot, or a keep-out box that no motion of it can keep clear of.
     """
-    check_arm(recipe, found.dataset.robot)
+    check_arm(recipe, diagnosis.dataset.robot)
     problem = loop_problem(recipe, recipe.motion.speed)
-    return plan_motion(found, recipe, problem, console, seconds, name, load, deadline)
+    return plan_motion(diagnosis, recipe, problem, console, seconds, name, load, deadline)
 
 
 def clearer_loaded(
-    found: Diagnosis, recipe: Recipe, motion: NextMotion, console: Console, deadline: Deadline | None = None
+    diagnosis: Diagnosis, recipe: Recipe, motion: NextMotion, console: Console, deadline: Deadline | None = None
 ) -> WithMass | None:
     """A known mass that makes clear what a motion of the bare arm leaves in doubt, if there is one."""
-    return clearer_with_mass(found, recipe, loop_problem(recipe, recipe.motion.speed), motion, console, deadline)
+    return clearer_with_mass(diagnosis, recipe, loop_problem(recipe, recipe.motion.speed), motion, console, deadline)
 
 
 def write_next(motion: NextMotion, folder: Path) -> dict[str, Any]:
@@ -128,12 +128,12 @@ def check_folder(folder: Path) -> None:
     Raises:
         InputError: as said; AgentError where nothing can be written.
     """
-    there = next(one for one in (folder, *folder.absolute().parents) if one.exists())
+    there = next(dialect for dialect in (folder, *folder.absolute().parents) if dialect.exists())
     if not there.is_dir():
         raise InputError(f"{there}: is a file; name a folder for the experiment with -o")
     if not os.access(there, os.W_OK | os.X_OK):
         raise AgentError(f"{there}: nothing can be written there; name another folder for the experiment with -o")
-    programs = {f"program{one.suffix}": "a program" for one in dialects()}
+    programs = {f"program{dialect.suffix}": "a program" for dialect in dialects()}
     for name, what in {"experiment.json": "an experiment", **programs}.items():
         if (folder / name).exists():
             raise InputError(f"{folder}: holds {what} already; name another folder with -o, or move it away")

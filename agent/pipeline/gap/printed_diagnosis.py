@@ -90,8 +90,8 @@ def _planned_lines(result: dict[str, Any]) -> Iterator[str]:
     yield f"{text[0].lower()}{text[1:]}"
     for entry in experiment.get("probability", ()):
         pair, before, after, smallest = chances_text(entry)
-        found = "" if smallest == "-" else f"; detects {smallest} of the smallest size that matters"
-        yield f"  {pair}: probability of the right answer {before} now, {after} after it{found}"
+        detects = "" if smallest == "-" else f"; detects {smallest} of the smallest size that matters"
+        yield f"  {pair}: probability of the right answer {before} now, {after} after it{detects}"
     if "with_a_mass" in experiment:
         text = experiment["with_a_mass"]["text"]
         yield f"{text[0].lower()}{text[1:]}"

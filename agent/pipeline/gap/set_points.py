@@ -48,7 +48,8 @@ class SetPointFiles:
             "folder": str(self.folder),
             "rate_hz": _RATE,
             "motions": [
-                {"name": one.name, "kinds": list(one.kinds), "duration_s": float(one.time[-1])} for one in plan.motions
+                {"name": motion.name, "kinds": list(motion.kinds), "duration_s": float(motion.time[-1])}
+                for motion in plan.motions
             ],
             "joints": joints,
             "files": list(self.files),
@@ -123,9 +124,9 @@ def write_set_points(plan: SetPointPlan, folder: Path) -> SetPointFiles:
         )
     except InputError as error:
         notes.append(f"no LeRobot dataset was written: {error}")
-    found = SetPointFiles(folder, plan, (*files, "plan.json"), tuple(notes))
-    write_json(folder / "plan.json", found.to_dict())
-    return found
+    written = SetPointFiles(folder, plan, (*files, "plan.json"), tuple(notes))
+    write_json(folder / "plan.json", written.to_dict())
+    return written
 
 
 def _table(joints: Sequence[str], motion: SetPointMotion) -> str:

@@ -47,22 +47,22 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
         check_output(path, inputs)
 
 
-def run_forward(found: Diagnosis, simulator: Simulator, correction: Correction, console: Console) -> dict[str, Any]:
+def run_forward(diagnosis: Diagnosis, simulator: Simulator, correction: Correction, console: Console) -> dict[str, Any]:
     """`ranges`, `forward` and `warnings` of a result: the simulator as given and corrected, where it can be run."""
     console.step("running the simulator forward, as given and corrected")
-    figures, reason = forward_or_reason(found, simulator)
-    warnings = [*beyond_range(found, simulator), *filter(None, [forward_warning(figures) if figures else ""])]
+    figures, reason = forward_or_reason(diagnosis, simulator)
+    warnings = [*beyond_range(diagnosis, simulator), *filter(None, [forward_warning(figures) if figures else ""])]
     for text in (*filter(None, [reason]), *warnings):
         console.warn(text)
-    result: dict[str, Any] = {"ranges": [asdict(one) for one in ranges(found, correction)]}
+    result: dict[str, Any] = {"ranges": [asdict(interval) for interval in ranges(diagnosis, correction)]}
     result |= {"forward": figures} if figures else {}
-    return {**result, "warnings": [*found.result["warnings"], *warnings]} if warnings else result
+    return {**result, "warnings": [*diagnosis.result["warnings"], *warnings]} if warnings else result
 
 
-def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
+def beyond_range(diagnosis: Diagnosis, simulator: Simulator) -> Iterator[str]:
     """Warn of joints that moved beyond their range in the file: a simulator that enforces it stops there."""
     arm = simulator.arm
-    low, high = (end([end(log.position, axis=0) for log in found.dataset.logs], axis=0) for end in (np.min, np.max))
+    low, high = (end([end(log.position, axis=0) for log in diagnosis.dataset.logs], axis=0) for end in (np.min, np.max))
     lower, upper = arm.robot.position_limits
     beyond = np.maximum(lower - low, high - upper)
     for k in np.flatnonzero(beyond > _OVER_RANGE):
@@ -75,7 +75,7 @@ def beyond_range(found: Diagnosis, simulator: Simulator) -> Iterator[str]:
 
 
 def write_simulator(
-    found: Diagnosis, simulator: Simulator, correction: Correction, out: Path, console: Console
+    diagnosis: Diagnosis, simulator: Simulator, correction: Correction, out: Path, console: Console
 ) -> None:
     """Write the corrected simulator: in its own format with its companion files, or as a model file.
 
@@ -84,7 +84,7 @@ def write_simulator(
     """
     for note in correction.notes:
         console.warn(f"{out}: {note}")
-    left_out = [cause.effect for cause in found.document.causes if not CATALOGUE[cause.effect].of_the_arm]
+    left_out = [cause.effect for cause in diagnosis.document.causes if not CATALOGUE[cause.effect].of_the_arm]
     if left_out:
         console.warn(
             f"{out}: {' and '.join(left_out)} is left out of the simulator: it is a single event, or in the "
@@ -94,7 +94,7 @@ def write_simulator(
         correction.model.save(out)
         return
     written = [*write_corrected(simulator, correction, out)]
-    written.append(write_atomically(_ranges_file(out), ranges_text(ranges(found, correction))))
+    written.append(write_atomically(_ranges_file(out), ranges_text(ranges(diagnosis, correction))))
     for path in written:
         console.say(f"wrote {path}")
     folder = out.with_name(f"{out.stem}_for")

@@ -108,10 +108,10 @@ def _controller(recipe: Recipe) -> str:
         *([f"somebody has to stand by: {identity.unguarded}"] if identity.unguarded else []),
         *([frames_text(frames)] if frames else []),
     ]
-    found = (
+    reached = (
         f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at "
         f"{address}, {1 / identity.period:g} Hz: {', '.join(state)}"
     )
     if identity.unguarded and not isinstance(driver, BoundsMotion):
-        raise ControllerError(found)
-    return found
+        raise ControllerError(reached)
+    return reached

@@ -70,17 +70,19 @@ def _packages() -> Iterator[CheckedItem]:
 def _unmet(requirements: list[Requirement], extra: str) -> list[str]:
     """Missing requirements of an extra, or of the package itself ("")."""
     unmet = []
-    for one in requirements:
-        needing = [name for name in ("", extra) if one.marker is None or one.marker.evaluate({"extra": name})]
+    for requirement in requirements:
+        needing = [
+            name for name in ("", extra) if requirement.marker is None or requirement.marker.evaluate({"extra": name})
+        ]
         if needing[:1] != [extra]:
             continue
         try:
-            found = version(one.name)
+            installed = version(requirement.name)
         except PackageNotFoundError:
-            unmet.append(f"{one.name} is not installed")
+            unmet.append(f"{requirement.name} is not installed")
         else:
-            if not one.specifier.contains(found, prereleases=True):
-                unmet.append(f"{one.name} {found} is installed, {one.specifier} is needed")
+            if not requirement.specifier.contains(installed, prereleases=True):
+                unmet.append(f"{requirement.name} {installed} is installed, {requirement.specifier} is needed")
     return unmet
 
 
@@ -106,7 +108,7 @@ def _compiled() -> CheckedItem:
         here = Path(loops.__file__).parent
         text = f"{took}, and again in every command: make {here} writable, or set NUMBA_CACHE_DIR to a folder that is"
         return CheckedItem("compiled cache", text, _WRONG)
-    fresh = any(one.cache_misses for one in stats)
+    fresh = any(statistics.cache_misses for statistics in stats)
     return CheckedItem("compiled cache", f"{took}, {'compiled now and kept in' if fresh else 'read from'} {folder}")
 
 

@@ -114,8 +114,8 @@ def next_steps(schedule: Schedule) -> str:
 
 def _recipe_of(service: str) -> str:
     """The recipe as a unit names it; the whole text of a unit that is not ours."""
-    found = re.search(r"^ExecStart=.* recalibrate (.+) --logs ", service, re.M)
-    return found[1] if found else service
+    command = re.search(r"^ExecStart=.* recalibrate (.+) --logs ", service, re.M)
+    return command[1] if command else service
 
 
 def _check_word(word: str) -> None:

@@ -103,8 +103,8 @@ class Kinematics(ABC):
             KinematicsError: no such solution; index 0.
         """
         pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
-        q, found = (self.find_on_branch if on_branch else self.find)(pose[None], near[None])
-        if not found[0]:
+        q, solved = (self.find_on_branch if on_branch else self.find)(pose[None], near[None])
+        if not solved[0]:
             raise self.refusal(pose, near)
         return q[0]
 
@@ -114,8 +114,8 @@ class Kinematics(ABC):
         Raises:
             KinematicsError: as `solve`, of the first pose without solution.
         """
-        q, found = self.find(poses, near)
-        for k in np.flatnonzero(~found):
+        q, solved = self.find(poses, near)
+        for k in np.flatnonzero(~solved):
             raise self.refusal(poses[k], near[k])
         return q
 

@@ -81,11 +81,11 @@ def chain_of(robot: RobotDescription, tool_frame: np.ndarray | None = None) -> K
             raise InputError(f"robot {robot.name}: urdf: link {link} is its own ancestor")
         path.insert(0, by_child[link])
         link = _link(by_child[link], "parent")
-    found = tuple(str(joint.get("name")) for joint in path if joint.get("name") in robot.joint_names)
-    if found != robot.joint_names:
+    movable = tuple(str(joint.get("name")) for joint in path if joint.get("name") in robot.joint_names)
+    if movable != robot.joint_names:
         raise InputError(
             f"robot {robot.name}: between the URDF's root and tip_frame {robot.tip_frame} are the joints "
-            f"{', '.join(found) or 'none'}; the description lists {', '.join(robot.joint_names)}"
+            f"{', '.join(movable) or 'none'}; the description lists {', '.join(robot.joint_names)}"
         )
     transforms = [np.eye(4)]
     for joint in path:

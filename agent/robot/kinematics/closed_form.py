@@ -214,14 +214,14 @@ class ClosedFormKinematics(Kinematics):
         # One by one: the last digit of a product depends on how many columns there are.
         wrist = np.concatenate([self._wrist(pose[None]) for pose in poses], axis=1)
         angles, margins = self._branch(wrist, np.sign(distances))
-        found = (margins >= self._least[:, None]).all(axis=0) & (np.abs(distances) >= SINGULAR_DISTANCE).all(axis=0)
+        solved = (margins >= self._least[:, None]).all(axis=0) & (np.abs(distances) >= SINGULAR_DISTANCE).all(axis=0)
         q = angles.T + 2 * np.pi * np.round((near - angles.T) / (2 * np.pi))
-        q[found], found[found] = self._polish(poses[found], q[found])
-        q[found] = self.turned_into_limits(q[found])
-        found &= self.within_limits(q)
-        if not found.all():
-            q[~found], found[~found] = self.find(poses[~found], near[~found])
-        return q, found
+        q[solved], solved[solved] = self._polish(poses[solved], q[solved])
+        q[solved] = self.turned_into_limits(q[solved])
+        solved &= self.within_limits(q)
+        if not solved.all():
+            q[~solved], solved[~solved] = self.find(poses[~solved], near[~solved])
+        return q, solved
 
     def singularity(self, q: np.ndarray) -> np.ndarray:
         """Distances in the order of `SINGULARITIES`.
@@ -365,15 +365,15 @@ class ClosedFormKinematics(Kinematics):
         """Newton steps (S, n) that remove what an inexact geometry leaves; where (S,) they reach it on their branch."""
         if self._exact or len(q) == 0:
             return q, np.ones(len(q), dtype=bool)
-        left, late, branch = pose_error(poses, self.forward(q)), np.arange(len(q)), np.sign(self._signed_distances(q))
+        error, late, branch = pose_error(poses, self.forward(q)), np.arange(len(q)), np.sign(self._signed_distances(q))
         for step in range(5):
-            q[late] += np.linalg.solve(self.jacobian(q[late]), left[late, :, None])[:, :, 0]
-            left[late] = pose_error(poses[late], self.forward(q[late]))
+            q[late] += np.linalg.solve(self.jacobian(q[late]), error[late, :, None])[:, :, 0]
+            error[late] = pose_error(poses[late], self.forward(q[late]))
             if step >= 2:  # near a singularity three steps may leave a little, which the next ones square
-                size = np.abs(left).max(axis=1)
+                size = np.abs(error).max(axis=1)
                 late = np.flatnonzero((size >= _REACHED) & (size < _NEARLY))
         stays = (branch * self._signed_distances(q) >= SINGULAR_DISTANCE).all(axis=0)
-        return q, stays & (np.abs(left).max(axis=1) < _REACHED)
+        return q, stays & (np.abs(error).max(axis=1) < _REACHED)
 
     def _is_exact(self) -> bool:
         q = np.random.default_rng(0).uniform(-3.0, 3.0, (10, 6))

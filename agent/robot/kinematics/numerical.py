@@ -90,9 +90,9 @@ class NumericalKinematics(Kinematics):
         found is a function of pose and `near` alone, as smooth as they are.
         """
         q, error = self._converge(poses, near)
-        found = error < ACCURACY * self.length
+        solved = error < ACCURACY * self.length
         weights = np.repeat([1.0, self.length], 3)
-        active = np.flatnonzero(found)
+        active = np.flatnonzero(solved)
         for _ in range(_ITERATIONS):
             if len(active) == 0:
                 break
@@ -107,8 +107,8 @@ class NumericalKinematics(Kinematics):
             step = np.clip(away + (transposed @ np.linalg.solve(square, asked))[:, :, 0], -_LONGEST, _LONGEST)
             q[active] += step
             active = active[np.abs(step).max(axis=1) > _SETTLED]
-        found[active] = False
-        return q, found
+        solved[active] = False
+        return q, solved
 
     def roomiest(self, poses: np.ndarray) -> np.ndarray | None:
         """Joints (n,) of a redundant arm at the first of poses (S, 4, 4), with the largest margin to the limits at all.
@@ -116,8 +116,8 @@ class NumericalKinematics(Kinematics):
         Room is the distance to the nearest limit of any joint over all poses, each reached by the joints nearest to
         those at the first; poses that are not reached within the limits count most. None where the first is not.
         """
-        options, found = self.nearest(np.repeat(poses[:1], len(self._seeds), axis=0), self._seeds)
-        options = options[found & self.within_limits(options)]
+        options, solved = self.nearest(np.repeat(poses[:1], len(self._seeds), axis=0), self._seeds)
+        options = options[solved & self.within_limits(options)]
         if len(options) == 0:
             return None
         q, reached = self.nearest(np.tile(poses, (len(options), 1, 1)), np.repeat(options, len(poses), axis=0))
@@ -132,9 +132,9 @@ class NumericalKinematics(Kinematics):
         Raises:
             KinematicsError: as in `follow`.
         """
-        q, found = self.nearest(poses, near)
-        if not found.all():
-            index = int(np.flatnonzero(~found)[0])
+        q, solved = self.nearest(poses, near)
+        if not solved.all():
+            index = int(np.flatnonzero(~solved)[0])
             closest, error = self._converge(poses[index : index + 1], near[index : index + 1])
             if error[0] < ACCURACY * self.length:
                 self._raise_branch(index, poses[index], float(np.abs(closest - near[index]).max()))
@@ -171,18 +171,18 @@ class NumericalKinematics(Kinematics):
 
     def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.dof > 6:
-            q, found = self.nearest(poses, near)
+            q, solved = self.nearest(poses, near)
         else:
             # Most are next to where they are looked for: no other solution is nearer than one that is on this branch.
             q, error = self._converge(poses, near)
-            found = (error < ACCURACY * self.length) & (np.abs(q - near)[:, self._revolute] <= _NEIGHBOURS).all(axis=1)
-        found &= self.within_limits(q)
-        found[found] = self.singularity(q[found])[:, 0] >= SINGULAR_DISTANCE
-        rest = np.flatnonzero(~found)
-        for k in range(0, len(rest), _POSES_AT_ONCE):
-            part = rest[k : k + _POSES_AT_ONCE]
-            q[part], found[part] = super().find(poses[part], near[part])
-        return q, found
+            solved = (error < ACCURACY * self.length) & (np.abs(q - near)[:, self._revolute] <= _NEIGHBOURS).all(axis=1)
+        solved &= self.within_limits(q)
+        solved[solved] = self.singularity(q[solved])[:, 0] >= SINGULAR_DISTANCE
+        unsolved = np.flatnonzero(~solved)
+        for k in range(0, len(unsolved), _POSES_AT_ONCE):
+            part = unsolved[k : k + _POSES_AT_ONCE]
+            q[part], solved[part] = super().find(poses[part], near[part])
+        return q, solved
 
     def singularity(self, q: np.ndarray) -> np.ndarray:
         """One kind, "arm": smallest over largest singular value of the Jacobian (rotations weighed by the length)."""
@@ -210,26 +210,26 @@ class NumericalKinematics(Kinematics):
         # An iteration slows down on its way into a singular solution, so there "nearly" counts.
         stalled = (error < _NEARLY * self.length) & (distance < np.sqrt(SINGULAR_DISTANCE)) & ~reached
         singular = (reached & (distance < SINGULAR_DISTANCE)) | stalled
-        found = np.full((samples, BRANCHES, self.dof), np.nan)
+        candidates = np.full((samples, BRANCHES, self.dof), np.nan)
         for k in range(samples):
             count = 0
             for candidate in q[k, reached[k] & ~singular[k]]:
-                if count < BRANCHES and not self._known(found[k, :count], candidate):
-                    found[k, count] = candidate
+                if count < BRANCHES and not self._known(candidates[k, :count], candidate):
+                    candidates[k, count] = candidate
                     count += 1
-        valid = np.isfinite(found).all(axis=2)
+        valid = np.isfinite(candidates).all(axis=2)
         flag = np.zeros((samples, BRANCHES), dtype=bool)
         flag[:, -1] = singular.any(axis=1) & ~valid[:, -1]
         return InverseSolutions(
-            q=found,
+            q=candidates,
             valid=valid,
-            within_limits=valid & self.within_limits(found),
+            within_limits=valid & self.within_limits(candidates),
             singular=flag,
             unreachable=~valid.any(axis=1) & ~flag.any(axis=1),
         )
 
-    def _known(self, found: np.ndarray, candidate: np.ndarray) -> bool:
-        apart = np.abs(self.nearest_turn(found, candidate) - candidate)
+    def _known(self, known: np.ndarray, candidate: np.ndarray) -> bool:
+        apart = np.abs(self.nearest_turn(known, candidate) - candidate)
         return bool((apart < _DISTINCT).all(axis=1).any())
 
     def _converge(self, poses: np.ndarray, guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
