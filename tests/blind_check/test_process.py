@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,31 +22,39 @@ from tests.blind_check.tiny_world import TinyWorld
 from tests.conftest import ROOT
 
 QUIET = Console(verbosity=-1)
+RUNS = 3
+
+
+class FewRuns(EmulatorWorld):
+    """Of five runs those that are quick to simulate, and of every kind."""
+
+    def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
+        drawn = super().draw(5, seed, laws)
+        return [{**drawn[which], "number": number} for number, which in enumerate((0, 1, 4))]
 
 
 @pytest.fixture(scope="module")
 def check(arm: str, tmp_path_factory) -> BlindCheck:
-    """Five short runs of two joints, done: two without an effect, two with one, and one with two."""
+    """Three short runs of two joints, done: one without an effect, one with one, and one with two."""
     folder = tmp_path_factory.mktemp("blind")
-    world = EmulatorWorld({"robot": arm, "cycle": 1.6})
-    whole = BlindCheck(world, 5, folder / "check")
+    world = FewRuns({"robot": arm, "cycle": 1.6})
+    whole = BlindCheck(world, RUNS, folder / "check")
     whole.key_file.parent.mkdir(parents=True)
-    Key(world.name, 5, 1, "a salt").save(whole.key_file)
-    with LocalProcesses(2) as engine:
-        whole.run(QUIET, engine)
+    Key(world.name, RUNS, 1, "a salt").save(whole.key_file)
+    whole.run(QUIET)
     return whole
 
 
 def test_runs_are_recorded_diagnosed_and_scored(check):
     key = Key.load(check.key_file)
-    assert (len(key.runs), key.not_recorded) == (5, [])
+    assert (len(key.runs), key.not_recorded) == (RUNS, [])
     results = read_results(check.folder / "results.jsonl")
     assert {one["run"] for one in results} == {run["run"] for run in key.runs}
     assert all(one["outcome"] != "no answer" for one in results)
     assert all((one["withheld"] is not None) == (one["kind"] in ("one", "two")) for one in results)
     right = {"none": ("no gap",), "outside": ("unknown",)}
     right_ones = [one for one in results if one["outcome"] in right.get(one["kind"], ("named", "in class"))]
-    assert len(right_ones) >= 3
+    assert len(right_ones) >= 2
     sizes = {run["run"]: run["size"] for run in key.runs}
     assert all((sizes[one["run"]] is None) == (one["kind"] == "none") for one in results)
     assert (check.folder / "blind_check.md").read_text().startswith("# WEDGE")
@@ -55,7 +64,7 @@ def test_every_run_has_the_same_files_and_a_plan_for_every_sample(check):
     folders = sorted((check.folder / "export" / "runs").iterdir())
     names = [sorted(path.relative_to(run).as_posix() for path in run.rglob("*.*")) for run in folders]
     sessions = [f"{session}/{name}.mcap" for session in ("baseline", "logs") for name in ("excite", "moves", "slow")]
-    assert names == [sorted(["arm.urdf", "robot.yaml", *sessions])] * 5
+    assert names == [sorted(["arm.urdf", "robot.yaml", *sessions])] * RUNS
     for run in folders:
         logs = [read_log(path) for path in sorted((run / "logs").glob("*.mcap"))]
         assert all(np.isfinite(log.planned_position).all() for log in logs)
@@ -70,12 +79,12 @@ def test_a_rerun_diagnoses_nothing_twice_and_scores_the_same(check):
     said.write_text("".join(f"{line}\n" for line in before if line != lost))
     scores = check.run(QUIET)
     assert said.read_text().splitlines() == [*(line for line in before if line != lost), lost]
-    assert scores["tools"]["agent diagnose"]["runs"] == 5
+    assert scores["tools"]["agent diagnose"]["runs"] == RUNS
 
 
 def test_a_folder_of_another_check_is_refused(check, tmp_path: Path):
-    with pytest.raises(InputError, match="is the key of 5 runs of world emulator"):
-        BlindCheck(check.world, 6, check.folder).run(QUIET)
+    with pytest.raises(InputError, match=f"is the key of {RUNS} runs of world emulator"):
+        BlindCheck(check.world, RUNS + 1, check.folder).run(QUIET)
     with pytest.raises(InputError, match="at least one run"):
         BlindCheck(check.world, 0, tmp_path / "none").run(QUIET)
     (tmp_path / "file").touch()
