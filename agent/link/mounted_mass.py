@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core import InputError, sha256_text
+from agent.core import InputError, read_json, sha256_text
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription, Tool
@@ -84,8 +83,15 @@ def _plan_of(program: Path, text: str) -> dict[str, Any]:
     path = program.with_name("experiment.json")
     if not path.exists():
         return {}
+    advice = (
+        f"what {program.name} was planned with is not known; plan the motion again, or move {path.name} away to run "
+        f"{program.name} as a program of your own"
+    )
     try:
-        planned = json.loads(path.read_text(encoding="utf-8"))
+        planned = read_json(path)
+    except InputError as error:
+        raise InputError(f"{error}; {advice}") from None
+    try:
         is_planned = Path(planned["program"]).name == program.name
         sha256, load = planned[PROGRAM_SHA256], planned.get(PAYLOAD)
         whole = (
@@ -93,18 +99,13 @@ def _plan_of(program: Path, text: str) -> dict[str, Any]:
             and planned[PARTS] == PLANNED_PARTS
             and (load is None or payload_text(payload_of(load)) == load)
         )
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; plan the motion again, or move it away") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, InputError):
+    except (ValueError, KeyError, TypeError, AttributeError, InputError):
         whole = is_planned = True
         sha256 = None
     if not is_planned:
         return {}
     if not whole or not isinstance(sha256, str):
-        raise InputError(
-            f"{path}: is damaged, so what {program.name} was planned with is not known; plan the motion again, or move "
-            f"{path.name} away to run {program.name} as a program of your own"
-        )
+        raise InputError(f"{path}: is damaged, so {advice}")
     if sha256 != sha256_text(text):
         raise InputError(
             f"{program}: was changed since it was planned, so what {path.name} says of it no longer holds; plan the "

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.core import InputError, write_atomically
+from agent.core import InputError, read_json, write_atomically
 from agent.motion import Move, Statement, stop_to_stop, way_key
 from agent.safety.planned_program import PlannedProgram
 
@@ -62,14 +62,14 @@ class CheckedPrograms:
         write_atomically(self.path, json.dumps({"schema": _SCHEMA, "programs": entries}, indent=2) + "\n")
 
     def _entries(self) -> list[dict[str, str]]:
+        if not self.path.exists():
+            return []
         try:
-            data = json.loads(self.path.read_text(encoding="utf-8"))
+            data = read_json(self.path)
             if data["schema"] != _SCHEMA:
                 raise ValueError(f"schema {data['schema']!r}")
             return [{key: str(entry[key]) for key in ("serial", "program", "at")} for entry in data["programs"]]
-        except FileNotFoundError:
-            return []
-        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        except (InputError, ValueError, KeyError, TypeError) as error:
             raise InputError(
                 f"{self.path}: this list of checked programs is damaged ({error}); move it away, every program will "
                 "then run slowly once more"

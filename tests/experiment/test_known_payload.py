@@ -1,13 +1,14 @@
 """A motion that was planned with a known mass: a person says that it is mounted, or nothing runs."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agent.core import InputError, sha256_text
+from agent.core import LARGEST_JSON, InputError, sha256_text
 from agent.link.mounted_mass import PROGRAM_SHA256, SCHEMA, check_payload, known_of, with_payload
 from agent.model import PAYLOAD, payload_of
 from agent.motion import Delay
@@ -81,7 +82,13 @@ def test_refuses_a_damaged_plan_with_a_message(program: Path, change):
     else:
         plan = json.loads(path.read_text(encoding="utf-8")) | change
         path.write_text(json.dumps({k: v for k, v in plan.items() if v is not None}), encoding="utf-8")
-    with pytest.raises(InputError, match=r"experiment\.json: is damaged, .* plan the motion again, or move"):
+    with pytest.raises(InputError, match=r"experiment\.json: (is )?damaged.* plan the motion again, or move"):
+        known_of(program, TEXT, LOAD, nobody)
+
+
+def test_refuses_a_plan_that_is_far_too_long(program: Path):
+    os.truncate(program.with_name("experiment.json"), LARGEST_JSON + 1)
+    with pytest.raises(InputError, match=r"longer than 64 MiB.* plan the motion again, or move"):
         known_of(program, TEXT, LOAD, nobody)
 
 

@@ -1,12 +1,14 @@
 """A program that is new to a machine runs slowly first, with somebody watching; what counts as that."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from agent.core import LARGEST_JSON
 from agent.core.errors import ControllerError, InputError
 from agent.motion import Delay, FlyInterpolator, JointTarget, Move, MoveType, Pdl2Settings, Trajectory, stop_to_stop
 from agent.motion.pdl2 import write_program
@@ -100,6 +102,9 @@ def test_stores_the_list_of_checked_programs(tmp_path: Path):
         checked.path.write_text(damage, encoding="utf-8")
         with pytest.raises(InputError, match="damaged"):
             again.has("a", "p")
+    os.truncate(checked.path, LARGEST_JSON + 1)
+    with pytest.raises(InputError, match="longer than 64 MiB"):
+        again.has("a", "p")
 
 
 def read(text: str) -> PlannedProgram:

@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-from agent.core import AgentError, Console, words_of, write_atomically
+from agent.core import AgentError, Console, read_json, words_of, write_atomically
 from agent.diagnosis import Diagnosis, extended_model, simulation_part, supported_correction
 from agent.experiment import Deadline, NoMotion
 from agent.model import CATALOGUE, payload_of
@@ -129,10 +129,10 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
         InputError: a log or the model cannot be read.
         KeyError: the run does not say what was asked.
     """
-    asked = json.loads((run / "state.json").read_text(encoding="utf-8"))["question"]
+    asked = read_json(run / "state.json")["question"]
     kept = [path if path.exists() else None for path in (run / _SIMULATOR, run / _DRIVES_OFF)]
     question = GapQuestion(model=kept[0], cutoff=asked["cutoff"], without=tuple(asked["without"]), drives_off=kept[1])
-    recorded = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    recorded = read_json(run / "result.json")
     # the log of a round that was cut short does not count in the result
     further = [Path(one["program"]).stem for one in recorded.get("rounds", ()) if one.get("verdict")]
     logs = [run / "excitation.mcap", *validation_logs(run), *(run / f"{name}.mcap" for name in further)]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import LARGEST_JSON, InputError, read_json, read_text
 from agent.model import IdentifiedModel, full_parameters, possible_model
 from agent.robot import Dynamics, ParameterLayout, rotor_mass_matrix
 from agent.simulators.arm import SimulatedArm
@@ -115,7 +115,7 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
 
 def _of_changes(path: Path) -> Iterator[LeftEffect]:
     try:
-        for entry in json.loads(path.read_text(encoding="utf-8"))["effects"]:
+        for entry in read_json(path)["effects"]:
             reason = entry.get("reason") or "its part of the gap stays"
             yield LeftEffect(entry["effect"], tuple(entry["joints"]), f"{reason}, which stays")
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -128,7 +128,7 @@ def _of_ranges(path: Path) -> Iterator[NumberRange]:
     """Each line is a list item with a JSON object, as `ranges_text` writes it."""
     keys = ("of", "parameter", "value", "low", "high")
     try:
-        for line in path.read_text(encoding="utf-8").splitlines():
+        for line in read_text(path, LARGEST_JSON).splitlines():
             if line.strip().startswith("- {"):
                 row = json.loads(line.strip()[2:])
                 yield NumberRange(*(row[key] for key in keys))
