@@ -93,6 +93,16 @@ def test_a_page_fits_the_screen_and_is_accessible(small: Path, browser, width: i
     _is_readable(browser, small, width, scheme)
 
 
+def test_stills_are_whole_on_a_phone_without_scripts(small: Path, browser):
+    with browser.page(small, 400, script=False) as opened:
+        stills = opened.tab.locator(".still").all()
+        assert stills
+        widths = [still.bounding_box()["width"] for still in stills]
+        pictures = [opened.tab.locator(".still svg").nth(k).bounding_box()["width"] for k in range(len(stills))]
+        assert max(widths) <= 400
+        assert max(pictures) <= max(widths)
+
+
 def test_a_page_without_contents_is_as_wide_as_one_with(browser, tmp_path: Path):
     page = tmp_path / "page.html"
     page.write_text(render(Page("Title", "An answer.", "good", [Section("One", ("Text. " * 40,))])), encoding="utf-8")
