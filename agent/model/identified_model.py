@@ -113,7 +113,7 @@ class IdentifiedModel(RigidFrictionModel):
             meaning = self.combinations[k] if k < b else self._term_meaning(self.terms[k - b])
             value, deviation = self.values[k], deviations[k]
             if unmoved[k]:
-                rows.append((name, "-", "-", "-", unit, f"{meaning} (stood still)", *self._prior_cells(k)))
+                rows.append((name, "-", "-", "-", unit, meaning, *self._prior_cells(k)))
                 continue
             relative = f"{100 * deviation / abs(value):.1f}" if deviation < 10 * abs(value) else ">1000"
             rows.append((name, f"{value:.5g}", f"{deviation:.2g}", relative, unit, meaning, *self._prior_cells(k)))

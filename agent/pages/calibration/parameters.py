@@ -28,9 +28,8 @@ def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()
     shown = []
     for name, value, deviation, _, unit, meaning, mean, doubt, share in table[1:]:
         before = (_interval(mean, doubt), share) if priors else ()
-        shown.append(
-            (name, _interval(value, deviation), unit, _known(float(value), float(deviation)), *before, meaning)
-        )
+        found = ("-", "stood still") if value == "-" else (_interval(value, deviation), _known(value, deviation))
+        shown.append((name, found[0], unit, found[1], *before, meaning))
     before = ("prior ± 95 %", "from the data [%]") if priors else ()
     header = ("parameter", "value ± 95 %", "unit", "how well it is known", *before, "stands for")
     return Section("Parameters", (*notes, _PRIOR) if priors else notes, (Table("parameters", header, shown),))
@@ -40,8 +39,9 @@ def _interval(value: str, deviation: str) -> str:
     return plus_minus(float(value), _NORMAL_95 * float(deviation))
 
 
-def _known(value: float, deviation: float) -> str:
+def _known(shown: str, scatter: str) -> str:
     """The standard deviation over the value, where that says something."""
+    value, deviation = float(shown), float(scatter)
     if abs(value) <= _NORMAL_95 * deviation:
         return "may be zero"
     return f"to {100 * deviation / abs(value):.2g} %"
