@@ -46,16 +46,14 @@ def check_effort(driver: Driver, robot: RobotDescription, tool: Tool | None, add
     said = f"while the arm is stationary it is {share:.2f} of the gravity torque of the description"
     if abs(share) < ABSENT:
         raise ControllerError(
-            f"{address}: the recipe says that effort is {driver.effort}, and {said}: gravity has been taken out of "
-            "it, as "
-            "UR drivers do from 2026 on (use_currents_as_efforts). Such effort identifies nothing; change that in the "
-            "robot's driver, or say effort: none to record the motion alone"
+            f"{address}: the recipe says that effort is {driver.effort}, and {said}: gravity has been taken out of it, "
+            "as UR drivers do from 2026 on (use_currents_as_efforts). Such effort identifies nothing; change that in "
+            "the robot's driver, or say effort: none to record the motion alone"
         )
     if not LOW <= share <= HIGH:
         raise ControllerError(
             f"{address}: the recipe says that effort is {driver.effort}, and {said}: it is in another unit, or the "
-            "recipe's "
-            "tool or the description's masses are not those of this arm. Is it a motor current? Then say effort: "
-            "current"
+            "recipe's tool or the description's masses are not those of this arm. Is it a motor current? Then say "
+            "effort: current"
         )
     return ""

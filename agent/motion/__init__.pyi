@@ -24,6 +24,7 @@ from .program import (
     Delay as Delay,
     Frame as Frame,
     JointTarget as JointTarget,
+    LoopProgram as LoopProgram,
     MotionSettings as MotionSettings,
     Move as Move,
     MoveType as MoveType,

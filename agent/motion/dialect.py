@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from agent.motion.program import JointTarget, MotionSettings, Statement, Target
+from agent.motion.program import LoopProgram, MotionSettings, Statement
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -68,21 +68,11 @@ class Dialect(Protocol):
             InputError: a name, a setting or a coordinate that the language does not take.
         """
 
-    def write_loop(
-        self,
-        name: str,
-        points: Sequence[Target],
-        settings: MotionSettings,
-        cycles: int,
-        approach: MotionSettings | None = None,
-        robot: RobotDescription | None = None,
-        start: JointTarget | None = None,
-    ) -> str:
-        """A program of a loop: a joint move with settings `approach` to `start` (default: the first point), then
-        `cycles` times linear moves that fly through points 2 to K and stop at the first, where the arm may rest.
+    def write_loop(self, name: str, loop: LoopProgram, robot: RobotDescription | None = None) -> str:
+        """A program of a loop; the arm may rest where it stops.
 
         Raises:
-            InputError: fewer than two points, no cycle, or what `write` refuses.
+            InputError: what `write` refuses.
         """
 
     def read(self, text: str, path: str = "", robot: RobotDescription | None = None) -> ReadProgram:

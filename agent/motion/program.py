@@ -173,26 +173,37 @@ def cycle_moves(points: Sequence[Target], settings: MotionSettings) -> tuple[Mov
     return (*flying, Move(MoveType.LINEAR, points[0], settings.stopping(), name="p1"))
 
 
-def loop_program(
-    name: str,
-    points: Sequence[Target],
-    settings: MotionSettings,
-    cycles: int,
-    approach: MotionSettings | None,
-    start: JointTarget | None,
-) -> tuple[Move, tuple[Move, ...]]:
-    """The approach and one cycle of a program that goes round its points: see `Dialect.write_loop`.
+@dataclass(frozen=True, eq=False)
+class LoopProgram:
+    """What a program does that goes round its points: an approach, then a cycle, `cycles` times."""
 
-    Raises:
-        InputError: fewer than two points, or no cycle.
-    """
-    if len(points) < 2:
-        raise InputError(f"program {name}: a loop needs at least 2 points, not {len(points)}")
-    if not 1 <= cycles <= 1_000_000:
-        raise InputError(f"program {name}: the number of cycles is 1 to 1000000, not {cycles}")
-    if approach is None:
-        approach = settings.changed(speed_override=min(0.1, settings.speed_override))
-    return Move(MoveType.JOINT, start or points[0], approach.stopping()), cycle_moves(points, settings)
+    approach: Move
+    moves: tuple[Move, ...]
+    cycles: int
+
+    @classmethod
+    def of(
+        cls,
+        points: Sequence[Target],
+        settings: MotionSettings,
+        cycles: int,
+        approach: MotionSettings | None = None,
+        start: JointTarget | None = None,
+    ) -> LoopProgram:
+        """A joint move with settings `approach` (default: 10 % speed override) to `start`, joint positions of the first
+        point, or to the first point itself; then linear moves that fly through points 2 to K and stop at the first.
+
+        Raises:
+            InputError: fewer than two points, or no cycle.
+        """
+        if len(points) < 2:
+            raise InputError(f"a loop needs at least 2 points, not {len(points)}")
+        if not 1 <= cycles <= 1_000_000:
+            raise InputError(f"the number of cycles is 1 to 1000000, not {cycles}")
+        if approach is None:
+            approach = settings.changed(speed_override=min(0.1, settings.speed_override))
+        first = Move(MoveType.JOINT, start or points[0], approach.stopping())
+        return cls(first, cycle_moves(points, settings), cycles)
 
 
 def decimals(value: float) -> str:

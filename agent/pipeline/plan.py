@@ -23,7 +23,7 @@ from agent.core import (
 )
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
 from agent.link import check_cell, trajectories
-from agent.motion import CartesianTarget, JointTarget, Target, ViaRegions, dialect_of, pose_of, with_frames
+from agent.motion import CartesianTarget, JointTarget, LoopProgram, Target, ViaRegions, dialect_of, pose_of, with_frames
 from agent.pages import ShownLoop, plan_report
 from agent.recipe import Recipe
 from agent.recording import read_log
@@ -157,7 +157,8 @@ def program_text(recipe: Recipe, motion: LoopMotion) -> str:
     approach = settings.changed(speed_override=APPROACH_SPEED)
     points = _targets(recipe, motion.loop)
     start = JointTarget(np.asarray(motion.loop.start, dtype=float))
-    return recipe.dialect.write_loop(motion.name, points, settings, motion.cycles, approach, recipe.robot, start)
+    loop = LoopProgram.of(points, settings, motion.cycles, approach, start)
+    return recipe.dialect.write_loop(motion.name, loop, recipe.robot)
 
 
 def via_regions(recipe: Recipe) -> Any:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from agent.motion import FlyInterpolator, FlyTrajectory, FlyType, MotionError, Pdl2Settings, stop_to_stop
 from agent.motion.pdl2 import parse_program, write_loop_program
-from agent.motion.program import CartesianTarget, JointTarget, frame_of
+from agent.motion.program import CartesianTarget, JointTarget, LoopProgram, frame_of
 from agent.robot import Box, Tool, torque_per_ampere
 from agent.robot.cell import TOOL_RADIUS, Cell
 from drivers.registry import create
@@ -67,7 +67,9 @@ def drawn(seed: int) -> Drawn:
             uframe=frame_of(uframe.as_matrix()),
         )
         targets = [CartesianTarget((uframe.inv() * base * pose).as_matrix()) for pose in poses]
-        text = write_loop_program("loop", targets, settings, 1, settings, ROBOT, JointTarget(corners[0]))
+        text = write_loop_program(
+            "loop", LoopProgram.of(targets, settings, 1, settings, JointTarget(corners[0])), ROBOT
+        )
         try:
             plans, stand = [], HOME
             for moves in stop_to_stop(parse_program(text, "loop", ROBOT).run()):

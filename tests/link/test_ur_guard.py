@@ -11,7 +11,7 @@ import pytest
 
 from agent.core import Console, SafetyError
 from agent.link.record import record_program_file
-from agent.motion import JointTarget, Move, MoveType, create_dialect, with_frames
+from agent.motion import JointTarget, LoopProgram, Move, MoveType, create_dialect, with_frames
 from agent.motion.urscript.settings import UrSettings
 from agent.recipe import load_recipe
 from agent.recording import read_log
@@ -53,19 +53,13 @@ def fake(monkeypatch, tmp_path):
 def program(tmp_path):
     """There and back, twice, after a joint move to the start."""
     settings = with_frames(UrSettings(fly_distance=0.02, joint_speed=1.0), None)
-    text = create_dialect("urscript").write_loop(
-        "loop",
-        [
-            JointTarget(START),
-            JointTarget(START + [0.2, 0.1, 0, 0, 0, 0.1]),
-            JointTarget(START + [0.3, 0, 0.2, 0, 0, 0]),
-        ],
-        settings.changed(linear_speed=0.1),
-        2,
-        settings,
-        load_robot("ur5e"),
+    points = [
         JointTarget(START),
-    )
+        JointTarget(START + [0.2, 0.1, 0, 0, 0, 0.1]),
+        JointTarget(START + [0.3, 0, 0.2, 0, 0, 0]),
+    ]
+    loop = LoopProgram.of(points, settings.changed(linear_speed=0.1), 2, settings, JointTarget(START))
+    text = create_dialect("urscript").write_loop("loop", loop, load_robot("ur5e"))
     path = tmp_path / "loop.script"
     path.write_text(text)
     return path

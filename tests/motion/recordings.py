@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.motion import FlyTrajectory, FlyType, Interpolator, Pdl2Settings
 from agent.motion.pdl2 import parse_program, write_loop_program
-from agent.motion.program import NO_FRAME, CartesianTarget, JointTarget, Move
+from agent.motion.program import NO_FRAME, CartesianTarget, JointTarget, LoopProgram, Move
 from agent.recording import LogWriter
 from agent.robot import RobotDescription, kinematics_for
 from drivers.protocol import SampleBlock
@@ -39,7 +39,7 @@ def loop_program(
     joints = [kinematics.solve(pose, START) for pose in poses]
     points = [CartesianTarget(p, kinematics.configuration_text(q)) for p, q in zip(poses, joints, strict=True)]
     approach = settings.changed(speed_override=0.1)
-    return write_loop_program("loop", points, settings, cycles, approach, robot, JointTarget(joints[0]))
+    return write_loop_program("loop", LoopProgram.of(points, settings, cycles, approach, JointTarget(joints[0])), robot)
 
 
 def record(

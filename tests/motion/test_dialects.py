@@ -10,6 +10,7 @@ from agent.motion import (
     CartesianTarget,
     Delay,
     JointTarget,
+    LoopProgram,
     MotionSettings,
     Move,
     MoveType,
@@ -77,7 +78,7 @@ def test_programs_round_trip(dialect, ns16, home, kinematics):
 def test_a_loop_approaches_slowly_and_repeats_its_cycle(dialect, ns16, home, kinematics):
     approach, _, *flying, stop = program(home, kinematics)
     points = [stop.target, *(move.target for move in flying)]
-    text = dialect.write_loop("loop", points, GENERAL, 3, None, ns16, approach.target)
+    text = dialect.write_loop("loop", LoopProgram.of(points, GENERAL, 3, None, approach.target), ns16)
     read = list(dialect.read(text, "loop", ns16).run())
     rest = [one for one in read[1:2] if isinstance(one, Delay)]  # a dialect may rest wherever the arm stops
     assert all(one.seconds <= 0.1 for one in rest)

@@ -11,6 +11,7 @@ from agent.core.errors import InputError
 from agent.motion import (
     CartesianTarget,
     JointTarget,
+    LoopProgram,
     MotionError,
     MotionSettings,
     Move,
@@ -87,7 +88,7 @@ def test_a_program_is_its_plan(name):
     robot = load_robot(name)
     start, points, settings = loop(robot)
     law = create_interpolator("joint_trajectory", robot, None, period=PERIOD)
-    text = DIALECT.write_loop("square", points, settings, 3, None, robot, JointTarget(start))
+    text = DIALECT.write_loop("square", LoopProgram.of(points, settings, 3, None, JointTarget(start)), robot)
     groups = list(stop_to_stop(DIALECT.read(text, "square", robot).run()))
     there = law.plan(groups[0], start + 0.2)
     assert np.abs(there.q[-1] - start).max() < 1e-8
@@ -116,7 +117,7 @@ def test_a_first_run_is_the_same_path_slowly():
     robot = load_robot("ur5e")
     start, points, settings = loop(robot, speed=0.6)
     law = create_interpolator("joint_trajectory", robot, None, period=PERIOD)
-    text = DIALECT.write_loop("square", points, settings, 2, None, robot, JointTarget(start))
+    text = DIALECT.write_loop("square", LoopProgram.of(points, settings, 2, None, JointTarget(start)), robot)
     statements = tuple(DIALECT.read(text, "square", robot).run())
     chains = [law.plan(moves, start) for moves in stop_to_stop(statements)]
     assert max(one.path_speed.max() for one in chains) > 0.26
@@ -133,7 +134,7 @@ def test_a_first_run_is_the_same_path_slowly():
 def test_goals_are_messages_that_can_be_sent_by_hand():
     robot = load_robot("ur5e")
     start, points, settings = loop(robot)
-    text = DIALECT.write_loop("square", points, settings, 3, None, robot, JointTarget(start))
+    text = DIALECT.write_loop("square", LoopProgram.of(points, settings, 3, None, JointTarget(start)), robot)
     files = DIALECT.messages(text)
     assert sorted(files) == ["goal_1.json", "send_goal.txt"]
     goal = json.loads(files["goal_1.json"])

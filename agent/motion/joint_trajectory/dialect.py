@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from agent.core import InputError
 from agent.motion.joint_trajectory.program import TrajectoryProgram, TrajectoryWriter, goals_of, read_program
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
-from agent.motion.program import JointTarget, MotionSettings, Statement, Target, loop_program
+from agent.motion.program import LoopProgram, Statement
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -35,21 +35,11 @@ class JointTrajectoryDialect:
         writer.add(statements)
         return writer.text()
 
-    def write_loop(
-        self,
-        name: str,
-        points: Sequence[Target],
-        settings: MotionSettings,
-        cycles: int,
-        approach: MotionSettings | None = None,
-        robot: RobotDescription | None = None,
-        start: JointTarget | None = None,
-    ) -> str:
-        """A move to the start, then one goal for the cycle, sent `cycles` times."""
-        first, loop = loop_program(name, points, settings, cycles, approach, start)
+    def write_loop(self, name: str, loop: LoopProgram, robot: RobotDescription | None = None) -> str:
+        """A move to the start, then one goal for the cycle, sent as often as it is run."""
         writer = TrajectoryWriter(name, robot)
-        writer.add([first])
-        writer.add(loop, cycles)
+        writer.add([loop.approach])
+        writer.add(loop.moves, loop.cycles)
         return writer.text()
 
     def settings(self, fly: Mapping[str, Any], speed: float, robot: RobotDescription) -> PathSettings:

@@ -11,7 +11,7 @@ from agent.motion.pdl2.reduced_job import job_text
 from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.pdl2.variables import FRAMES
 from agent.motion.pdl2.writer import write_loop_program, write_program
-from agent.motion.program import JointTarget, MotionSettings, Statement, Target
+from agent.motion.program import LoopProgram, Statement
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -35,18 +35,9 @@ class Pdl2:
         """A HOLD program that makes these moves and delays once."""
         return write_program(name, statements, robot)
 
-    def write_loop(
-        self,
-        name: str,
-        points: Sequence[Target],
-        settings: MotionSettings,
-        cycles: int,
-        approach: MotionSettings | None = None,
-        robot: RobotDescription | None = None,
-        start: JointTarget | None = None,
-    ) -> str:
-        """A HOLD program: MOVE JOINT to the start, then `cycles` times LINEAR round the points."""
-        return write_loop_program(name, points, settings, cycles, approach, robot, start)
+    def write_loop(self, name: str, loop: LoopProgram, robot: RobotDescription | None = None) -> str:
+        """A HOLD program: MOVE JOINT to the start, then LINEAR round the points, as often as it is run."""
+        return write_loop_program(name, loop, robot)
 
     def settings(self, fly: Mapping[str, Any], speed: float, robot: RobotDescription) -> Pdl2Settings:
         """The system variables of the FLY statement; the tool turns no faster than the robot's limit."""

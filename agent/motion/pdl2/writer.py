@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,13 +18,12 @@ from agent.motion.program import (
     CartesianTarget,
     Delay,
     JointTarget,
-    MotionSettings,
+    LoopProgram,
     Move,
     MoveType,
     Statement,
     Target,
     decimals,
-    loop_program,
 )
 
 if TYPE_CHECKING:
@@ -69,33 +69,27 @@ def write_program(name: str, statements: Sequence[Statement], robot: RobotDescri
     return writer.text(name, [line for statement in statements for line in writer.statement(statement, indent=2)], [])
 
 
-def write_loop_program(
-    name: str,
-    points: Sequence[Target],
-    settings: MotionSettings,
-    cycles: int,
-    approach: MotionSettings | None = None,
-    robot: RobotDescription | None = None,
-    start: JointTarget | None = None,
-) -> str:
-    """A HOLD program of the loop: approach, then `cycles` times round the points.
+def _arriving(move: Move) -> Move:
+    """The move, with FINE where it stops."""
+    return move if move.fly else replace(move, settings=Pdl2Settings.of(move.settings).stopping())
 
-    The approach is MOVE JOINT with `approach` (default: 10 % speed override) and FINE to `start`, which are joint
-    positions of the first point, or to the first point itself: joint positions leave no turn or posture open. Each
-    cycle flies LINEAR through points 2 to K and closes with MOVE LINEAR to the first point and FINE, so every cycle
-    starts and ends at standstill.
+
+def write_loop_program(name: str, loop: LoopProgram, robot: RobotDescription | None = None) -> str:
+    """A HOLD program of the loop: approach, then the cycle in a FOR.
+
+    The approach is MOVE JOINT and FINE, best to joint positions: they leave no turn or posture open. Each cycle flies
+    LINEAR through points 2 to K and closes with MOVE LINEAR to the first point and FINE, so every cycle starts and ends
+    at standstill.
 
     Raises:
-        InputError: fewer than two points, no cycle, or what `write_program` refuses.
+        InputError: what `write_program` refuses.
     """
-    own = Pdl2Settings.of(settings)
-    slowly = None if approach is None else Pdl2Settings.of(approach)
-    first, loop = loop_program(name, points, own, cycles, slowly, start)
-    writer = _Writer([*loop, first], robot, globals_of=own)
-    for point in points:
-        writer.point(point)
-    lines = [*writer.statement(first, indent=2), f"  FOR cycle_number := 1 TO {cycles} DO"]
-    for move in loop:
+    first, *moves = (_arriving(move) for move in (loop.approach, *loop.moves))
+    writer = _Writer([*moves, first], robot, globals_of=Pdl2Settings.of(loop.moves[0].settings))
+    for move in (moves[-1], *moves[:-1]):
+        writer.point(move.target)
+    lines = [*writer.statement(first, indent=2), f"  FOR cycle_number := 1 TO {loop.cycles} DO"]
+    for move in moves:
         lines += writer.statement(move, indent=4)
     lines.append("  ENDFOR")
     return writer.text(name, lines, ["cycle_number : INTEGER"])

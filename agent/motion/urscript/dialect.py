@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from agent.motion.program import JointTarget, MotionSettings, Statement, Target, loop_program
+from agent.motion.program import LoopProgram, Statement
 from agent.motion.urscript.reader import UrScriptProgram, job_text, read_program
 from agent.motion.urscript.settings import LINEAR_ACCELERATION, UrSettings
 from agent.motion.urscript.writer import ScriptWriter
@@ -40,25 +40,15 @@ class UrScript:
         writer = ScriptWriter(robot)
         return writer.text(name, [line for statement in statements for line in writer.statement(statement)])
 
-    def write_loop(
-        self,
-        name: str,
-        points: Sequence[Target],
-        settings: MotionSettings,
-        cycles: int,
-        approach: MotionSettings | None = None,
-        robot: RobotDescription | None = None,
-        start: JointTarget | None = None,
-    ) -> str:
+    def write_loop(self, name: str, loop: LoopProgram, robot: RobotDescription | None = None) -> str:
         """`movej` to the start, then `cycles` times `movel` through points 2 to K and to the first.
 
         All but the last `movel` of a cycle blend, so every cycle starts and ends with a standstill of 0.1 s.
         """
-        first, loop = loop_program(name, points, settings, cycles, approach, start)
         writer = ScriptWriter(robot)
-        lines = [*writer.statement(first), f"  {_REST}"]
-        moves = [line for move in loop for line in writer.statement(move, "    ")]
-        lines += ["  i = 0", f"  while i < {cycles}:", "    write_output_integer_register(24, i)"]
+        lines = [*writer.statement(loop.approach), f"  {_REST}"]
+        moves = [line for move in loop.moves for line in writer.statement(move, "    ")]
+        lines += ["  i = 0", f"  while i < {loop.cycles}:", "    write_output_integer_register(24, i)"]
         return writer.text(name, [*lines, *moves, f"    {_REST}", "    i = i + 1", "  end"])
 
     def settings(self, fly: Mapping[str, Any], speed: float, robot: RobotDescription) -> UrSettings:

@@ -129,8 +129,7 @@ class RosLink(LinkThread):
             self.check()
             raise DriverError(
                 f"{states}: no sample of {', '.join(joints)} within {self._timeout:g} s; is the "
-                "joint_state_broadcaster "
-                "active, and does the network let its messages through?"
+                "joint_state_broadcaster active, and does the network let its messages through?"
             )
 
     def describe(self) -> None:
@@ -331,6 +330,5 @@ class RosLink(LinkThread):
     def _fell_silent(self) -> DriverError:
         return DriverError(
             f"{self.target.name(JOINT_STATES)} fell silent: no new sample for {self.watchdog:g} s, and the arm may "
-            "move; it "
-            "was told to brake: go and look at it"
+            "move; it was told to brake: go and look at it"
         )

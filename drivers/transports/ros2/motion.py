@@ -155,8 +155,7 @@ class Ros2Motion(SampleStream):
             self.brake(
                 MotionStopped(
                     f"the controller runs the trajectory at {100 * state.scaling:.0f} % of its speed; the arm was "
-                    "stopped: "
-                    "set the speed to 100 % there, then run the command again"
+                    "stopped: set the speed to 100 % there, then run the command again"
                 )
             )
         self._match(state.stamp)
@@ -173,8 +172,7 @@ class Ros2Motion(SampleStream):
                 self.brake(
                     DriverError(
                         f"{self._link.target.action} did not answer a goal within {_ANSWER:g} s; whatever runs was "
-                        "braked and "
-                        "cancelled: look at the arm and the controller"
+                        "braked and cancelled: look at the arm and the controller"
                     )
                 )
                 self._cancel()
@@ -189,9 +187,8 @@ class Ros2Motion(SampleStream):
         if self._phase in ("moving", "settling") and not age - self._least <= self._link.watchdog + LATE:
             self.brake(
                 DriverError(
-                    f"samples came {age - self._least:.2f} s late, so nobody watched the arm, and it was stopped; "
-                    "has this "
-                    "computer or the network too much else to do?"
+                    f"samples came {age - self._least:.2f} s late, so nobody watched the arm, and it was stopped; has "
+                    "this computer or the network too much else to do?"
                 )
             )
         match self._phase:
@@ -214,9 +211,8 @@ class Ros2Motion(SampleStream):
             self.brake(
                 MotionStopped(
                     f"{self._program.joints[joint]} was {off[joint]:.3f} rad off its trajectory, "
-                    f"{self._limit_off[joint]:.3f} "
-                    "are allowed; the arm was stopped: was the speed turned down, does something hold it, or does "
-                    "something else command it?"
+                    f"{self._limit_off[joint]:.3f} are allowed; the arm was stopped: was the speed turned down, does "
+                    "something hold it, or does something else command it?"
                 )
             )
         elif self._result is not None and self._result[0] != 0:
@@ -251,9 +247,8 @@ class Ros2Motion(SampleStream):
         assert self._result is not None
         code, text = self._result
         self._why = self._why or MotionStopped(
-            f"the controller stopped the arm: {_CODES.get(code, f'error {code}')}{f' ({text})' if text else ''}; "
-            "look for "
-            "the cause, then run the command again"
+            f"the controller stopped the arm: {_CODES.get(code, f'error {code}')}{f' ({text})' if text else ''}; look "
+            "for the cause, then run the command again"
         )
         self._phase, self._braked = "braking", self._clock()
 
@@ -263,9 +258,8 @@ class Ros2Motion(SampleStream):
             return self._come_to_rest()
         if self._unread() > UNREAD:
             self._why = DriverError(
-                f"{self._unread():.0f} s of samples wait to be read, so the next cycle was not sent: has this "
-                "computer too "
-                "much else to do?"
+                f"{self._unread():.0f} s of samples wait to be read, so the next cycle was not sent: has this computer "
+                "too much else to do?"
             )
             return self._come_to_rest()
         step = next(self._steps, None)
@@ -281,9 +275,8 @@ class Ros2Motion(SampleStream):
         if step.points is not None and not np.all(np.abs(points.rows[0, 0] - sample.position) <= START):
             off = np.abs(points.rows[0, 0] - sample.position)
             error = RefusedError(
-                "the arm does not stand where the next trajectory begins: "
-                f"{self._program.joints[int(np.argmax(off))]} is "
-                f"off by {off.max():.3f} rad, {START:g} are allowed"
+                f"the arm does not stand where the next trajectory begins: {self._program.joints[int(np.argmax(off))]} "
+                f"is off by {off.max():.3f} rad, {START:g} are allowed"
             )
             if self.goals_sent == 0:
                 raise error

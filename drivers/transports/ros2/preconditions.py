@@ -42,8 +42,7 @@ def check_controller(link: RosLink, parameters: Mapping[str, Any], manager: Mapp
     if loose and not by_goal:
         raise RefusedError(
             f"{node} would not stop the arm off its path: constraints.{loose[0]}.trajectory is 0, and without "
-            "control_msgs "
-            "no goal can bring a tolerance of its own. Install control_msgs where the agent runs (apt: "
+            "control_msgs no goal can bring a tolerance of its own. Install control_msgs where the agent runs (apt: "
             "ros-$ROS_DISTRO-control-msgs, then source again), or set the constraints in the controller's YAML file"
         )
 
@@ -81,9 +80,8 @@ def check_alone(link: RosLink) -> None:
     if others:
         raise RefusedError(
             f"{', '.join(others)} can command {link.target.node} too: end it. A client that stays idle, such as "
-            "MoveIt's, "
-            f"may be named in the address: ',beside={others[0].rpartition('/')[2]}'. An agent that was killed is seen "
-            "for 20 s"
+            f"MoveIt's, may be named in the address: ',beside={others[0].rpartition('/')[2]}'. An agent that was "
+            "killed is seen for 20 s"
         )
 
 
@@ -105,9 +103,8 @@ def check_arm(link: RosLink, joints: Sequence[str], recorded: bool) -> None:
         raise RefusedError("joint_states has positions that are no numbers; look at the robot's driver")
     if recorded and not np.isfinite(sample.effort).all():
         raise RefusedError(
-            "joint_states has no effort, so nothing can be identified: say `effort: none` in the recipe's "
-            "controller to "
-            "record the motion alone"
+            "joint_states has no effort, so nothing can be identified: say `effort: none` in the recipe's controller "
+            "to record the motion alone"
         )
     if np.abs(link.velocity).max() > _STILL:
         raise RefusedError("the arm moves already; wait until it rests")

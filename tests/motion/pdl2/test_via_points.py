@@ -9,7 +9,7 @@ from agent.core.errors import InputError
 from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, create_interpolator
 from agent.motion.pdl2 import parse_program, write_loop_program, write_program
 from agent.motion.pdl2.via_points import JOINT_STEP, JOINT_TOLERANCE, via_points
-from agent.motion.program import CartesianTarget, JointTarget, Move, MoveType, stop_to_stop
+from agent.motion.program import CartesianTarget, JointTarget, LoopProgram, Move, MoveType, stop_to_stop
 from agent.robot import kinematics_for, load_robot
 from agent.safety.planned_program import PlannedProgram
 
@@ -45,7 +45,7 @@ def loop(request):
             CartesianTarget(kinematics.forward(corner[None])[0], kinematics.configuration_text(corner))
             for corner in CORNERS
         ]
-    return planned(write_loop_program("p", targets, FLY, 2, robot=ROBOT))
+    return planned(write_loop_program("p", LoopProgram.of(targets, FLY, 2), ROBOT))
 
 
 def test_a_loop_blends_at_its_points_and_stops_after_each_cycle(loop):

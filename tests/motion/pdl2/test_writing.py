@@ -11,7 +11,7 @@ from agent.core.errors import InputError
 from agent.motion import FlyTrajectory, FlyType, OrientationType, Pdl2Settings, SpeedOption, Termination
 from agent.motion.pdl2 import parse_program, write_loop_program, write_program
 from agent.motion.pdl2.variables import pos_to_pose
-from agent.motion.program import NO_FRAME, CartesianTarget, Delay, JointTarget, Move, MoveType
+from agent.motion.program import NO_FRAME, CartesianTarget, Delay, JointTarget, LoopProgram, Move, MoveType
 from agent.robot.description import load_robot
 
 
@@ -114,7 +114,7 @@ def test_statements_round_trip(statements):
 @given(st.lists(TARGETS, min_size=2, max_size=4), SETTINGS, SETTINGS, st.integers(1, 4))
 @settings(max_examples=25, deadline=None)
 def test_a_loop_approaches_and_ends_every_cycle_stationary(points, going, approach, cycles):
-    text = write_loop_program("loop", points, going, cycles, approach)
+    text = write_loop_program("loop", LoopProgram.of(points, going, cycles, approach))
     found = list(parse_program(text).run())
     fine = going.changed(termination=Termination.FINE)
     expected = [Move(MoveType.JOINT, points[0], approach.changed(termination=Termination.FINE))]
@@ -137,7 +137,7 @@ def point(*pos, configuration=""):
 
 def test_the_text_of_a_loop_uses_common_pdl2():
     points = [point(1000, -200, 800, 0, 180, 0, configuration="W T1:0"), point(1000, 200, 800, 0, 150, 30)]
-    text = write_loop_program("ns16_loop", points, FIELD, 100)
+    text = write_loop_program("ns16_loop", LoopProgram.of(points, FIELD, 100))
     assert text.startswith("PROGRAM ns16_loop HOLD, PROG_ARM=1\nVAR\n")
     assert "  p1 := POS(1000, -200, 800, 0, 180, 0, 'W T1:0')\n" in text
     assert "  p2 := POS(1000, 200, 800, 0, 150, 30, '')\n" in text
@@ -160,7 +160,7 @@ def test_a_loop_sets_frames_turns_and_override():
     framed = FIELD.changed(base=NO_FRAME, tool=tool, uframe=NO_FRAME)
     points = [point(1000, -200, 800, 0, 180, 0), point(1000, 200, 800, 0, 150, 30)]
     start = JointTarget(np.radians([10, 0, -90, 0, 30, 400]))
-    text = write_loop_program("ns16_loop", points, framed, 3, start=start)
+    text = write_loop_program("ns16_loop", LoopProgram.of(points, framed, 3, start=start))
     before_motion = text[: text.index("MOVE")]
     for line in (
         "$BASE := POS(0, 0, 0, 0, 0, 0, '')",
@@ -228,8 +228,8 @@ def test_prismatic_joints_are_written_in_millimetres():
         (lambda p: write_program("t", [Move(MoveType.CIRCULAR, p)]), "VIA"),
         (lambda p: write_program("t", [Move(MoveType.LINEAR, point(0, 0, np.nan, 0, 0, 0))]), "finite"),
         (lambda p: write_program("t", [Move(MoveType.LINEAR, point(0, 0, 0, 0, 0, 0, configuration="'"))]), "flag"),
-        (lambda p: write_loop_program("t", [p], FIELD, 1), "at least 2 points"),
-        (lambda p: write_loop_program("t", [p, p], FIELD, 0), "number of cycles"),
+        (lambda p: LoopProgram.of([p], FIELD, 1), "at least 2 points"),
+        (lambda p: LoopProgram.of([p, p], FIELD, 0), "number of cycles"),
     ],
 )
 def test_refuses_to_write_what_could_not_be_read(write, reason):

@@ -11,6 +11,7 @@ from agent.motion import (
     CartesianTarget,
     Delay,
     JointTarget,
+    LoopProgram,
     MotionError,
     Move,
     MoveType,
@@ -100,9 +101,8 @@ def test_a_pose_keeps_its_position_and_rotation(place, turn):
 def loop_text(robot, pose, name="excite", cycles=3, tool=None, **values):
     settings = with_frames(SCRIPT.settings({"distance": 0.04}, 0.25, robot), tool).changed(**values)
     points = [CartesianTarget(shifted(pose, *by)) for by in ((0, 0, 0), (0.1, 0.05, 0), (0.05, 0.15, 0.1))]
-    return SCRIPT.write_loop(
-        name, points, settings, cycles, settings.changed(speed_override=0.1), robot, JointTarget(HOME)
-    )
+    loop = LoopProgram.of(points, settings, cycles, settings.changed(speed_override=0.1), JointTarget(HOME))
+    return SCRIPT.write_loop(name, loop, robot)
 
 
 def test_a_loop_is_recognised_watched_and_marked(robot, pose):
