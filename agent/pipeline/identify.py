@@ -33,8 +33,21 @@ from agent.recording import (
 from agent.robot import RobotDescription, load_robot
 from agent.runs import check_output
 from agent.simulators import SIMULATOR, export_model, is_simulator, load_arm as load, load_arm_of
-from agent.validation import Validation, flipped_joints, predict_log, predicts, same_scale, summary, torque_scales
+from agent.validation import (
+    Validation,
+    flipped_joints,
+    is_of_another_robot,
+    predict_log,
+    predicts,
+    same_scale,
+    summary,
+    torque_scales,
+)
 
+_ANOTHER_ROBOT = (
+    "these torques are of an arm with another inertia on most joints than the model's, whatever hangs on the flange: "
+    "name the model of that robot, or estimate it from these logs"
+)
 MAP_OR_PRESET = "import: describe the columns with either --map MAP.yaml or --preset NAME"
 
 
@@ -232,6 +245,8 @@ def check_plausible(
     # a simulator without friction predicts no arm
     if named and not refusals and model is not None and model.method != SIMULATOR and not predicts(model, logs):
         refusals, named = [f"{named[0]}, and its model does not predict them"], []
+    if not refusals and model is not None and model.method != SIMULATOR and not predicts(model, logs):
+        refusals = [_ANOTHER_ROBOT] if is_of_another_robot(model, logs) else []
     if refusals and not force:
         names = ", ".join(log.name for log in logs)
         raise RejectedError(f"{names}: {'; '.join([*named, *refusals])}. {advice}")

@@ -1,4 +1,5 @@
 from .compare import BEYOND as BEYOND, Comparison as Comparison, compare_models as compare_models
+from .other_robot import is_of_another_robot as is_of_another_robot
 from .singular_values import observability as observability
 from .torque import (
     Prediction as Prediction,

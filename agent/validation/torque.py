@@ -18,7 +18,7 @@ from agent.robot import torque_units
 SCHEMA = "validation/1"
 _MOVING = 1e-3  # of a joint's highest speed by the robot description
 _TRAVELS = 0.01  # rad or m, from where on a joint says something of its channels
-_PREDICTED = 0.35  # of how a joint's torque varies: the median error of a model that predicts it
+PREDICTED = 0.35  #: of how a joint's torque varies: the median error of a model that predicts it
 _SAME_UNIT = 4.0  # times, at most, that measured torque is larger or smaller than predicted
 _USUAL = 2.0  # times its held-out error, as motions differ
 
@@ -191,7 +191,7 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
         return False
     position, velocity, measured, error = found
     moving = _moving(model, position, velocity)
-    most = np.maximum(_PREDICTED * np.std(measured, axis=0), _USUAL * model.held_out_rmse)
+    most = np.maximum(PREDICTED * np.std(measured, axis=0), _USUAL * model.held_out_rmse)
     return bool(moving) and all(np.median(np.abs(error[rows, k])) < most[k] for k, rows in moving.items())
 
 
@@ -218,7 +218,7 @@ def flipped_joints(model: IdentifiedModel, log: Log) -> list[str]:
     for k, rows in _moving(model, position, velocity).items():
         size = np.std(measured[:, k])
         as_given, turned = (np.median(np.abs(s * measured[rows, k] - predicted[rows, k])) for s in (1, -1))
-        if turned < _PREDICTED * size and as_given > size:
+        if turned < PREDICTED * size and as_given > size:
             names.append(model.robot.joint_names[k])
     return names
 
