@@ -95,6 +95,11 @@ class Quantity(GroupedMetadata):
 def parse_quantity(value: Any, dimension: Dimension, bare: Bare | None = None) -> float:
     """The SI value of a number, or of a text such as ``"20 mm"``; `bare` says which numbers need no unit, None: all.
 
+    Args:
+        value: number, or text with a unit.
+        dimension: what it measures.
+        bare: which numbers need no unit; None: all.
+
     Raises:
         InputError: not a number, not finite, a unit of another dimension, or a number that needs a unit; says what is
             allowed.

@@ -81,6 +81,15 @@ def search(
     `progress` is called after each generation. The ten best candidates are scored again on all samples, and the best of
     them is the result.
 
+    Args:
+        problem: sub-region, robot and limits.
+        method: genetic or one of the other registered searches.
+        population: candidates in a generation.
+        generations: of the search.
+        seed: of all draws.
+        engine: scores candidates; None: one process per core.
+        progress: called after each generation.
+
     Raises:
         InputError: no such method; or no candidate keeps all limits: names the limit that the best one breaks, where
             and by how much.

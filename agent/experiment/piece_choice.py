@@ -81,6 +81,15 @@ def plan_experiment(
     before: then it is the best of what was weighed. `runnable` says whether pieces can be run one after the other:
     while they cannot, the last one is left out.
 
+    Args:
+        found: diagnosis that leaves pairs open.
+        pairs: of hypotheses, the most urgent first.
+        problem: sub-region and limits of the motion.
+        seconds: longest motion [s].
+        seed: of the draw of pieces.
+        deadline: end of planning; None: no end.
+        runnable: whether pieces can be run one after the other.
+
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """

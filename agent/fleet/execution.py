@@ -76,6 +76,13 @@ def run_fleet(
 ) -> Summary:
     """Bring a result up to date with a source; `engine` makes one for a number of tasks, if there are any.
 
+    Args:
+        source: folder or URL of machines and logs.
+        question: what is asked of each run.
+        out: folder or URL of the result.
+        engine: makes one for a number of tasks.
+        console: where progress is shown.
+
     Raises:
         InputError: source, result or a file that was named cannot be used.
         BusyError: another run writes this result.

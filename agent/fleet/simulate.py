@@ -106,6 +106,14 @@ def simulate_fleet(robot: str, machines: int, weeks: int, seed: int, out: str, r
     """Write a fleet to a folder or URL: logs with their description, or with `rows` the result of `fleet estimate` on
     a year of them; returns what was written.
 
+    Args:
+        robot: name or file of its description.
+        machines: number of machines.
+        weeks: number of weeks with logs.
+        seed: of all draws.
+        out: folder or URL.
+        rows: write a result of a year instead of logs.
+
     Raises:
         InputError: a robot that is not known, or a folder with something else in it.
     """

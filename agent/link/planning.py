@@ -68,6 +68,11 @@ def trajectories(
 
     Where it makes the same way again, the trajectory is the same object. What moves nothing is left out.
 
+    Args:
+        recipe: whose interpolator, robot and tool plan.
+        statements: of the program.
+        start: joint positions (n,) [rad or m] before the first.
+
     Raises:
         MotionError: a limit of the arm is broken.
     """
@@ -109,7 +114,13 @@ def _in_cell(recipe: Recipe, trajectory: Trajectory) -> CellReport:
 
 
 def torque_limits(recipe: Recipe, load: Tool, console: Console) -> TorqueLimits:
-    """Torque limits of the drives with a known mass at the flange; reports drives without known limits."""
+    """Torque limits of the drives with a known mass at the flange; reports drives without known limits.
+
+    Args:
+        recipe: whose robot and tool carry the load.
+        load: mass at the flange.
+        console: where drives without known limits are named.
+    """
     from agent.robot import TorqueLimits
 
     if unknown := [joint.name for joint in recipe.robot.joints if joint.max_torque is None]:

@@ -265,6 +265,15 @@ def record_program_file(
 
     `payload` is a mass that is mounted at the flange on purpose; the log contains it.
 
+    Args:
+        recipe: of robot, controller, cell and speed.
+        program: file in the dialect of the driver.
+        log: to write; None: next to the program.
+        console: where progress is shown, and questions are asked.
+        yes: whether motion may begin without a question.
+        runs: folder of runs.
+        payload: mass at the flange, as of `--payload`.
+
     Raises:
         InputError: the program cannot be parsed or planned, or the log exists; a payload that is none, or a motion
             that was planned with another, or with one that nobody has confirmed.

@@ -31,6 +31,11 @@ class Watched:
 def record_watched(address: str, log: Path, console: Console) -> Watched:
     """Record joint states and set-points until a signal ends it; the log is complete then.
 
+    Args:
+        address: of a ROS 2 controller, `ros2://DOMAIN/NAMESPACE/CONTROLLER`.
+        log: to write.
+        console: where progress is shown.
+
     Raises:
         InputError: the log exists.
         ConfigurationError, DriverError: no such address, nothing here to listen with, or nobody publishes.

@@ -16,6 +16,11 @@ from agent.model.rigid_friction import ModelEffect, RigidFrictionModel
 def effect_torque(model: RigidFrictionModel, entry: ModelEffect, motion: Mapping[str, Any]) -> np.ndarray:
     """(S, n) joint torque [N·m] of one effect on a motion (time, q, qd, qdd as arrays; `log` counts the logs of a fit).
 
+    Args:
+        model: whose robot and friction the effect acts on.
+        entry: the effect, with its joints and parameters.
+        motion: `time` (S,) [s], `q`, `qd` and `qdd` (S, n); `log` counts the logs of a fit.
+
     Raises:
         InputError: an effect that is neither built in nor installed, parameters or joints that it does not have, or
             that give no finite torque, or a motion without times.

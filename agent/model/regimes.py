@@ -35,7 +35,13 @@ def standstill_speed(speeds: Sequence[np.ndarray], max_velocity: np.ndarray, sha
 def regime_masks(
     q: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, load: np.ndarray, slowest: float, rate: float
 ) -> dict[str, np.ndarray]:
-    """(S,) bool of each of `REGIMES`, from (S,) signals of one joint; up to `slowest` it stands; `rate` in Hz."""
+    """(S,) bool of each of `REGIMES`, from (S,) signals of one joint; up to `slowest` it stands; `rate` in Hz.
+
+    Args:
+        q, speed, acceleration, load: (S,) signals of one joint [rad, rad/s, rad/s², N·m].
+        slowest: speed up to which the joint counts as stationary [rad/s].
+        rate: of the samples [Hz].
+    """
     magnitude, load, acceleration = np.abs(speed), np.abs(load), np.abs(acceleration)
     fastest = max(float(magnitude.max()), 1e-9)
     standing = magnitude <= slowest

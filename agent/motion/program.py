@@ -163,6 +163,11 @@ def loop_moves(poses: np.ndarray, settings: MotionSettings, joints: np.ndarray |
 
     Every cycle ends with an exact stop, so that cycles repeat exactly. `settings` hold for all moves. A redundant arm
     needs the `joints` (K, n) at the via-points too: a pose would let it come back to its first point with other joints.
+
+    Args:
+        poses: via-points (K, 4, 4) [m].
+        settings: of all moves.
+        joints: positions (K, n) [rad or m] at the via-points of a redundant arm.
     """
     return cycle_moves(list(map(CartesianTarget, poses) if joints is None else map(JointTarget, joints)), settings)
 

@@ -68,6 +68,12 @@ def interpolator_names(dialect: Dialect | None = None) -> tuple[str, ...]:
 def create_interpolator(name: str, robot: RobotDescription, tool: Tool | None = None, **options: Any) -> Interpolator:
     """An interpolator by its registered name, or by the file of a learned law (`agent.motion.learned_law`).
 
+    Args:
+        name: registered name, or file of a learned law.
+        robot: whose limits the plan keeps.
+        tool: mounted at the flange.
+        options: of that interpolator.
+
     Raises:
         InputError: no interpolator has that name, or the file is none for this robot.
     """

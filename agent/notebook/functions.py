@@ -66,6 +66,14 @@ def estimate(
 ) -> Model:
     """Identify base parameters and friction from logs, as `agent estimate` does; `cutoff` in Hz.
 
+    Args:
+        robot: description, its name or file.
+        logs: in memory, or paths and patterns of files.
+        method: weighted, paper, consistent or another of `agent estimate --method`.
+        cutoff: of the torque filter [Hz]; None: chosen from the logs.
+        allow_mixed: take logs of several machines or tools.
+        force: go on although a log is implausible.
+
     Raises:
         InputError: logs that cannot be used, of several machines (unless `allow_mixed`), or an unknown method.
         RejectedError: logs that no motion of this robot can have made, or with too little of it, unless `force`.
@@ -79,6 +87,12 @@ def validate(
     model: ModelLike, logs: LogsLike, cutoff: float | None = None, *, allow_mixed: bool = False
 ) -> TorqueValidation:
     """Predict the torque of logs that took no part in the fit.
+
+    Args:
+        model: in memory, or its file.
+        logs: in memory, or paths and patterns of files.
+        cutoff: of the torque filter [Hz]; None: the model's.
+        allow_mixed: take logs of several machines or tools.
 
     Raises:
         InputError: a model or log that cannot be used, or (unless `allow_mixed`) logs of another machine.
@@ -102,6 +116,15 @@ def diagnose(
     force: bool = False,
 ) -> GapDiagnosis:
     """Where model and robot disagree and why; without a model, against one fitted to the same logs.
+
+    Args:
+        robot: description, its name or file.
+        logs: in memory, or paths and patterns of files.
+        model: to compare with, in memory or its file; None: one fitted to the logs.
+        cutoff: of the torque filter [Hz]; None: chosen from the logs.
+        without: effects to ignore.
+        allow_mixed: take logs of several machines or tools.
+        force: go on although a log is implausible.
 
     Raises:
         InputError: as in `estimate`, or an unknown effect in `without`.

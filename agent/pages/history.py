@@ -31,6 +31,12 @@ def index_page(
 
     Runs stand oldest first, trends by machine and program with the course of its `parameters`. `current` names the runs
     that the robots' current models are of.
+
+    Args:
+        runs: oldest first.
+        watched: trends by machine and program.
+        parameters: of each of these, the course of its parameters.
+        current: names of runs that current models are of.
     """
     alarms = [(one, line) for one in watched for line in one.lines()]
     machines = sorted({(run.robot, run.serial) for run in runs})

@@ -89,7 +89,13 @@ class Plot:
 
 
 def joint_series(joints: Sequence[str], values: np.ndarray, order: Sequence[int] | None = None) -> list[Series]:
-    """A curve a joint of (S, n), each with its colour and dashes; in the `order` of their numbers where given."""
+    """A curve a joint of (S, n), each with its colour and dashes; in the `order` of their numbers where given.
+
+    Args:
+        joints: names.
+        values: (S, n).
+        order: of the joints; None: as they are.
+    """
     chosen = range(len(joints)) if order is None else order
     looks = [(SERIES[k % len(SERIES)], DASHES[k % len(DASHES)]) for k in range(len(joints))]
     return [Series(joints[k], values[:, k], colour=looks[k][0], joint=joints[k], dash=looks[k][1]) for k in chosen]

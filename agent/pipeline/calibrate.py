@@ -31,6 +31,13 @@ _CONFIRMING = 2
 def run_calibration(recipe: Recipe, console: Console, logs: Path, resume: Path | None, yes: bool) -> Outcome:
     """Run the job; with `resume`, go on after the last finished step of a stopped run.
 
+    Args:
+        recipe: what is calibrated, and how.
+        console: where progress is shown.
+        logs: folder of runs.
+        resume: run that is continued; None: a new one.
+        yes: whether motion may begin without a question.
+
     Raises:
         AgentError, DriverError: with their exit codes; the run folder says where and why it stopped.
     """

@@ -19,6 +19,11 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
 
     Writes a page to `report` where that is given.
 
+    Args:
+        runs: folders, the one that others are compared with first.
+        console: where progress is shown.
+        report: page to write.
+
     Raises:
         InputError: a run without a model or a log, runs of different robots, or a page that cannot be written there.
     """

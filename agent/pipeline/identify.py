@@ -64,6 +64,14 @@ def import_files(
     `mapping` is a mapping file for columns of tables, the name of a preset, or None for a dataset of a known format,
     whose episodes become a log each. `topic` chooses one of its two arms. `effort` is what the log's effort is.
 
+    Args:
+        robot: name, robot.yaml or URDF of the arm.
+        mapping: file that maps columns, name of a preset, or None for a dataset of a known format.
+        inputs: tables, or the dataset.
+        out: log to write; a folder where there are several.
+        topic: of the joint states, where a recording has several.
+        effort: what the effort is: current, torque, torque-without-gravity or load.
+
     Raises:
         InputError: a recording, the mapping or the output is not usable.
         RejectedError: the numbers contradict the `effort`; nothing is written.
@@ -126,6 +134,14 @@ def read_logs(
     """Read logs and warn of what was repaired.
 
     `topic` holds the joint states if a log has several; `effort` is what their effort is, where no driver says it.
+
+    Args:
+        paths: MCAP files or recordings of a known format.
+        robot: whose joints the logs have.
+        console: where repairs are shown.
+        topic: of the joint states, if a log has several.
+        effort: what their effort is, where no driver says it.
+        force: take numbers that contradict the `effort`.
 
     Raises:
         InputError: a file cannot be read, or its driver says something else of its effort.
@@ -299,6 +315,14 @@ def estimate_files(
 
     With a folder to `export` to, the links have to be bodies that could exist: the method is then `consistent` unless
     another is named.
+
+    Args:
+        robot: description, its name or file.
+        paths: of the logs.
+        out: file of the model.
+        question: method, cut-off and structure.
+        console: where progress and warnings are shown.
+        export: folder for the model as files of simulators.
     """
     check_output(out, paths)
     if export is not None and question.method is None:
@@ -331,6 +355,12 @@ def fit_logs(
     description: RobotDescription, given: Sequence[Log], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
     """A model fitted to logs of one machine, and those that it was fitted to, without velocities.
+
+    Args:
+        description: of the arm.
+        given: logs of one machine.
+        question: method, cut-off and structure.
+        console: where progress and warnings are shown.
 
     Raises:
         InputError, RejectedError: as `check_one_machine`, `check_plausible` and `estimate`, or too little motion.
@@ -370,7 +400,17 @@ def validate_files(
     topic: str | None = None,
     effort: str | None = None,
 ) -> Validation:
-    """Prediction of logs by a model."""
+    """Prediction of logs by a model.
+
+    Args:
+        model_path: file of the model.
+        paths: of logs that took no part in the fit.
+        cutoff: of the torque filter [Hz]; None: the model's.
+        console: where warnings are shown.
+        allow_mixed: take logs of several machines or tools.
+        topic: of the joint states, if a log has several.
+        effort: what their effort is, where no driver says it.
+    """
     model = IdentifiedModel.load(model_path)
     logs = read_logs(paths, model.robot, console, topic, effort)
     check_torque(logs)

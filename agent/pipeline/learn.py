@@ -84,6 +84,12 @@ class Learned:
 def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) -> Learned:
     """Learn the law from logs with set-points, and write it.
 
+    Args:
+        robot: name or file of its description.
+        paths: of logs with set-points.
+        out: file of the law.
+        console: where progress is shown.
+
     Raises:
         InputError: logs without set-points, without motion or without their program, logs of another robot or of
             several, or logs that do not follow the program.

@@ -311,6 +311,12 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
 
     The `engine` scores candidates; default: one process per core.
 
+    Args:
+        recipe: whose loop is searched.
+        folder: to write to; it must not hold a plan yet.
+        console: where progress is shown.
+        engine: scores candidates; None: one process per core.
+
     Raises:
         InputError: as in `plan_once`, or the folder holds a plan already.
         AgentError: the folder cannot be made.

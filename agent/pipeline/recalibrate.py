@@ -76,6 +76,14 @@ def run_recalibration(
 ) -> Outcome:
     """Run the stored loop again, estimate, judge, record, and make the model current if it is accepted.
 
+    Args:
+        recipe: of the calibration that is repeated.
+        console: where progress is shown.
+        logs: folder of runs.
+        yes: whether motion may begin without a question.
+        authorisation: what allows motion while nobody is there.
+        now: time of the run; None: of the clock.
+
     Raises:
         InputError: never calibrated, no stored loop, or motion that nobody allowed.
         AgentError, DriverError: as in `calibrate`, with their exit codes.

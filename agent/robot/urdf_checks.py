@@ -56,6 +56,11 @@ def parse_robot_file(path: Path, text: bytes) -> Element:
 def check_urdf(path: Path | str, root: Element, joints: Sequence[str]) -> None:
     """Check a URDF, from `path` or of that name, of which the description lists these joints.
 
+    Args:
+        path: named in messages.
+        root: of the parsed file.
+        joints: names that the description lists.
+
     Raises:
         InputError: numbers that are none, too many or too few, inertials that lack some, masses below zero, names that
             stand twice, several roots, joints that follow one another (mimic).

@@ -48,6 +48,11 @@ class Applied:
 def current_model(logs: Path, robot: str, serial: str) -> Applied | None:
     """The robot's current model, or None where nothing was applied yet.
 
+    Args:
+        logs: folder of runs.
+        robot: name of the robot.
+        serial: of the machine; empty where it has none.
+
     Raises:
         InputError: what is there is damaged.
     """
@@ -123,6 +128,11 @@ def _all_current(logs: Path) -> tuple[dict[Path, Applied], list[str]]:
 
 def apply_previous(logs: Path, robot: str | None = None, serial: str | None = None) -> Applied:
     """Go back to the model that was current before; every further call goes one more back.
+
+    Args:
+        logs: folder of runs.
+        robot: name of the robot; None: the only one.
+        serial: of the machine; None: the only one.
 
     Raises:
         InputError: nothing was applied before, or it is not clear on which robot.

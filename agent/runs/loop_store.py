@@ -69,6 +69,16 @@ def keep_loop(
 ) -> StoredLoop:
     """Keep a loop; the same loop found again replaces its file.
 
+    Args:
+        recipe: that the loop was searched for.
+        genome: (g,) of the loop in [0, 1].
+        poses: via-points (K, 4, 4) [m].
+        start: joint positions (n,) [rad or m] of the first.
+        fitness: log10 det(HᵀH/M).
+        program_name, program: as the controller gets it.
+        folder: of stored loops.
+        now: time of storing; None: of the clock.
+
     Raises:
         AgentError: the folder cannot be written.
     """

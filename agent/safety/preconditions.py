@@ -22,6 +22,11 @@ _MEASURED = 3  # times, at most, before a link is too slow
 def check_identity(identity: Identity, robot: RobotDescription, address: str) -> None:
     """The controller at this address drives the robot of the recipe.
 
+    Args:
+        identity: what the controller says it is.
+        robot: of the recipe.
+        address: named in messages.
+
     Raises:
         MismatchError: another robot, or other joints.
     """
@@ -144,6 +149,12 @@ def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.nd
 
 def check_frames(program: str, frames: Mapping[str, np.ndarray], driver: Driver, address: str) -> None:
     """The controller has the `frames` (4, 4) [m], by name, that the plan of a program takes for granted.
+
+    Args:
+        program: its text.
+        frames: by name (4, 4) [m], as the plan takes them.
+        driver: link to the controller.
+        address: named in messages.
 
     Raises:
         ControllerError: it has others; the message names both.

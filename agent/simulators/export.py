@@ -45,6 +45,11 @@ def export_model(
     Effects that are numbers of these files are in them, a load on the last link among others. `say` is told what the
     files do not have, and its torque.
 
+    Args:
+        model: to write.
+        folder: for the files.
+        say: told what the files do not have, and its torque.
+
     Raises:
         RejectedError: no physical links have the model's base parameters, or what was written does not give them back.
         AgentError, OSError: the folder cannot be written.

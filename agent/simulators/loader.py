@@ -47,6 +47,12 @@ def load_simulator(
 
     `names` maps joints of the file to them where they are called otherwise.
 
+    Args:
+        path: MJCF or URDF.
+        robot: description of the arm; None: the file's own.
+        log_joints: names of joints in the logs.
+        names: joint of the file → joint of the arm, None for one that is left out.
+
     Raises:
         InputError: a file that cannot be read or used, of another arm, or whose joints don't match.
     """
@@ -112,6 +118,11 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
 
     Its joints are those of the logs; where there are none, the longest chain of joints that all move on their own, of
     which the first `most` are taken.
+
+    Args:
+        path: MJCF or URDF.
+        log_joints: names of the joints in the logs.
+        most: joints that are taken of a chain without logs.
 
     Raises:
         InputError: a file that cannot be read or used, or none of its joints is in the logs.

@@ -125,7 +125,13 @@ class Comparison:
 def compare_models(
     before: IdentifiedModel, after: IdentifiedModel, log: Log, before_name: str, after_name: str
 ) -> Comparison:
-    """Compare two models of one robot along the motion of a log, one of its cycles where it repeats."""
+    """Compare two models of one robot along the motion of a log, one of its cycles where it repeats.
+
+    Args:
+        before, after: models of one robot.
+        log: whose motion they are compared along.
+        before_name, after_name: as results call them.
+    """
     places = [{name: k for k, name in enumerate(model.names)} for model in (before, after)]
     deviation = _change_deviations(before, after)
     kept = set(after.names[: len(after.independent)]) if _share_base(before, after) else set()

@@ -152,6 +152,11 @@ def pooled_rmse(predictions: Sequence[Prediction]) -> np.ndarray:
 def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -> Prediction:
     """Predict every sample of a log. `cutoff` [Hz] is the model's unless given.
 
+    Args:
+        model: that predicts.
+        log: of the same robot, with torque.
+        cutoff: of the torque filter [Hz]; None: the model's.
+
     Raises:
         InputError: a log of another robot, without torque, too short, or sampled too slowly for the cut-off.
     """
@@ -241,6 +246,11 @@ def _pooled(model: IdentifiedModel, logs: Sequence[Log], *signals: str) -> list[
 
 def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> Validation:
     """Errors of the model on these logs: every sample counts, standstill included.
+
+    Args:
+        model: that predicts.
+        logs: that took no part in its fit.
+        cutoff: of the torque filter [Hz]; None: the model's.
 
     Raises:
         InputError: as `predict_log`.

@@ -31,6 +31,11 @@ def parse_program(text: str, path: str = "", robot: RobotDescription | None = No
 
     With `robot`, a JOINTPOS must have its number of joints, and its prismatic joints are in mm.
 
+    Args:
+        text: of the program.
+        path: named in messages.
+        robot: whose number and kind of joints a JOINTPOS must have.
+
     Raises:
         Pdl2Error: text outside the subset, an undeclared name, a data type that does not fit, and whatever the first
             5000 steps of the program would meet when it runs (positions not assigned, values out of range).

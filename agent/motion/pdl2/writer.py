@@ -61,6 +61,11 @@ def write_program(name: str, statements: Sequence[Statement], robot: RobotDescri
 
     The text is read back before it is returned: what this package could not read, it does not write.
 
+    Args:
+        name: of the program.
+        statements: moves, delays and assignments in order.
+        robot: whose prismatic joints are written in mm.
+
     Raises:
         InputError: a program name PDL2 does not take, a setting outside the range of its system variable, a
             coordinate that is not finite.
@@ -80,6 +85,15 @@ def write_loop_program(name: str, loop: LoopProgram, robot: RobotDescription | N
     The approach is MOVE JOINT and FINE, best to joint positions: they leave no turn or posture open. Each cycle flies
     LINEAR through points 2 to K and closes with MOVE LINEAR to the first point and FINE, so every cycle starts and ends
     at standstill.
+
+    Args:
+        name: of the program.
+        points: via-points in order.
+        settings: of the moves of a cycle.
+        cycles: how often the loop is run.
+        approach: settings of the way to the first point.
+        robot: whose prismatic joints are written in mm.
+        start: joint positions of the first point.
 
     Raises:
         InputError: what `write_program` refuses.

@@ -58,6 +58,12 @@ def diagnosis_report(
     `next_steps` are commands that whoever asked can run; `result` is what was made of the diagnosis' own, where a
     simulator was run forward (`forward`, `ranges`) or further motions were planned or run (`next_experiment`,
     `rounds`).
+
+    Args:
+        diagnosis: what is shown.
+        simulated: runs of the arm forward in time.
+        next_steps: commands that whoever asked can run.
+        result: with further keys than the diagnosis' own; None: that.
     """
     result = diagnosis.result if result is None else result
     forward = result.get("forward")

@@ -47,6 +47,13 @@ def diagnose_files(
     Without a `robot` the model describes the arm. `told` is called with the result, once the page is written: before a
     further motion is planned, after that, and if the planning fails or is stopped.
 
+    Args:
+        robot: description, its name or file; None: the model describes the arm.
+        paths: of the logs.
+        question: model, what to leave out, and what to write.
+        console: where progress and warnings are shown.
+        told: called with every result.
+
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
     """
@@ -72,6 +79,15 @@ def diagnose_recording(
 
     With a `budget` [s of motion], further motions follow until the cause is settled (`until_sure`). `told` is called
     once the result is in the run folder, also if a further motion is cut short.
+
+    Args:
+        recipe: whose motions are recorded.
+        question: as of `diagnose_files`.
+        console: where progress and warnings are shown.
+        runs: folder of runs.
+        yes: whether motion may begin without a question.
+        budget: further motion that is allowed [s]; None: none.
+        told: called with every result.
 
     Raises:
         AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.

@@ -43,6 +43,11 @@ def written_files(out: Path) -> tuple[Path, Path]:
 def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> tuple[Path, ...]:
     """Write the corrected file and the files next to it; returns all paths, the corrected file first.
 
+    Args:
+        simulator: the file as given.
+        correction: its moved numbers, and effects that no file holds.
+        out: file to write.
+
     Raises:
         InputError: the file cannot be edited (for example, a body has no name).
         RejectedError: the written file does not read back as meant.

@@ -56,6 +56,12 @@ def target_of(name: str) -> Target:
 def write_target(numbers: ArmNumbers, name: str, folder: Path, say: Callable[[str], None]) -> tuple[Path, ...]:
     """Write the files of a simulator into a folder; returns their paths. `say` is told what they lack, and traps.
 
+    Args:
+        numbers: of the arm.
+        name: of the simulator, a key of `TARGETS`.
+        folder: for the files.
+        say: told what the files lack, and traps of this simulator.
+
     Raises:
         InputError: no such simulator.
         AgentError: the folder cannot be written.
