@@ -31,7 +31,6 @@ NARROW = {
     "agent/diagnosis/verdict.py": _DECISION,
     "agent/estimation/uncertainty.py": ["tests/estimation/test_uncertainty.py", "tests/estimation/test_paper.py"],
     "agent/pages/calibration/parameters.py": ["tests/validation/test_run_sections.py"],
-    "agent/pages/calibration/paper_estimator.py": ["tests/validation/test_run_sections.py"],
 }
 #: Changes that give the same results, by module and reason: parts of the lines that they make.
 EQUIVALENT = tomllib.loads((ROOT / "tests/equivalent_mutants.toml").read_text("utf-8"))

@@ -62,17 +62,13 @@ Cell = str | Shade | Bars
 
 @dataclass(frozen=True)
 class Table:
-    """A table: header and rows; the first column is the row's name, and leads to `links[row]` where given.
-
-    `dense`: cells are small squares whose texts are shown by the pointer.
-    """
+    """A table: header and rows; the first column is the row's name, and leads to `links[row]` where given."""
 
     name: str
     header: Sequence[str]
     rows: Sequence[Sequence[Cell]]
     links: Sequence[str] = ()
     caption: str = ""
-    dense: bool = False
 
 
 def shaded_table(

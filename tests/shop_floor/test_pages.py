@@ -60,7 +60,7 @@ def test_the_page_of_a_calibration(calibrated: Path, browse):
     text = _check_file(page)
     assert ", ".join(_titles(text)) == (
         "Prediction of unseen motions, Diagnosis, Motion, Search, Residuals, Friction, Observation matrix, "
-        "Correlation of parameters, The paper&#39;s own estimator, Logs, Conditions, Parameters, Provenance"
+        "Logs, Conditions, Parameters, Provenance"
     )
     assert "Not needed: there is no earlier model" in text
     assert "value ± 95 %" in text

@@ -46,14 +46,13 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cells = np.array([[1.0, np.nan], [0.25, 0.5]])
     left = {"loop": np.abs(line[:, 0])}
     bars = Table("bars", ("joint", "error"), [(f"joint_{k}", Bars([Bar(0.0, k, "#2a86c8")])) for k in (1, 2)])
-    squares = [("a", "", ""), ("b", Shade(-0.5, "-0.5", "b, a: -0.5"), "")]
-    dense = Table("dense", ("joint", "a", "b"), squares, dense=True)
+    titled = Table("titled", ("joint", "a", "b"), [("b", Shade(-0.5, "-0.5", "b, a: -0.5"), "")])
     shaded = shaded_table("cells", "Cells.", cells, ["slow", "fast"], ["joint_1", "joint_2"])
     scene = Scene("path", "The arm.", {"loop": line}, {"points": line[:3]}, boxes, arm, left, "left [%]")
     sections = (
         Section("Plots", ("Text.",), (Plot("waves", "Waves.", "time", panels, t, "s", columns=2),)),
         Section("Dates", (), (Plot("dates", "Dates.", "date", (dates,), 1.7e9 + 3600 * t[every], dates=True),)),
-        Section("Map", (), (shaded, bars, dense)),
+        Section("Map", (), (shaded, bars, titled)),
         Section("Scene", (), (scene, Table("table", ("joint", "value"), [("joint_1", "1.0"), ("joint_2", "2.0")]))),
     )
     about = About(

@@ -1,14 +1,10 @@
 """Sections of a run's report; the paper's estimator next to the one that was used."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, estimate
 from agent.pages import Page, Section, render
-from agent.pages.calibration.paper_estimator import paper_section
-from agent.pages.calibration.parameters import correlation, correlation_section
 from agent.robot import load_robot
 from agent.validation import predict_log
 from tests.estimation.conftest import _log
@@ -32,44 +28,6 @@ def logs():
         torque = dynamics.inverse_dynamics(q, qd, qdd) + friction + rng.normal(size=q.shape)
         made.append(_log(robot, t, q, torque, f"motion_{seed}.mcap"))
     return robot, made
-
-
-def test_the_papers_estimator_stands_next_to_ours(logs):
-    robot, (fitted, unseen) = logs
-    model = estimate(robot, [fitted], EstimationSettings.create(method="weighted", cutoff=20))
-    predictions = [predict_log(model, unseen)]
-    section = paper_section(model, fitted, predictions)
-    rows = section.parts[0].rows
-    assert [row[0] for row in rows] == list(robot.joint_names)
-    paper = estimate(robot, [fitted], EstimationSettings.create(method="paper", cutoff=20))
-    theirs = predict_log(paper, unseen).rmse(moving=True)
-    assert [float(row[2]) for row in rows] == pytest.approx(theirs, rel=0.01)
-    assert [float(row[1]) for row in rows] == pytest.approx(predictions[0].rmse(moving=True), rel=0.01)
-    ratio = theirs / predictions[0].rmse(moving=True)
-    assert [float(row[4]) for row in rows] == pytest.approx(ratio, abs=0.006)
-    assert np.ptp(ratio) > 0.1 or np.all(np.abs(ratio - 1) > 0.1), "else an inverted ratio would look the same"
-    assert paper_section(paper, fitted, predictions) is None
-    assert "paper over this" in render(Page("t", "h", "plain", [section]))
-
-
-def test_correlations_keep_their_sign():
-    rng = np.random.default_rng(0)
-    root = rng.normal(size=(4, 6))
-    covariance = root @ root.T
-    covariance[3] = covariance[:, 3] = 0.0
-    found = correlation(covariance)
-    deviation = np.sqrt(np.diag(covariance)[:3])
-    assert found[:3, :3] * np.outer(deviation, deviation) == pytest.approx(covariance[:3, :3])
-    assert found.min() < -0.1
-    assert not found[3].any(), "a parameter without variance is correlated with nothing"
-
-
-def test_the_strongest_pairs_are_listed_with_their_sign():
-    covariance = np.array([[4.0, -1.96, 0.2], [-1.96, 1.0, 0.0], [0.2, 0.0, 1.0]])
-    section = correlation_section(SimpleNamespace(covariance=covariance, names=("m_1", "f0_1", "f1_1")))
-    assert section.parts[1].rows[:2] == [("m_1", "f0_1", "-0.980"), ("m_1", "f1_1", "+0.100")]
-    assert section.text[0].startswith("1 of 3 pairs")
-    assert section.parts[0].rows[1][1].title == "f0_1, m_1: -0.98"
 
 
 def test_a_page_leaves_out_a_section_with_nothing_to_show():

@@ -1,4 +1,4 @@
-"""The parameters: values and intervals, how well the motion shows them, and which ones the data cannot separate."""
+"""The parameters: values, intervals, and how well the motion shows them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from agent.core import counted, plus_minus
 from agent.model import USUAL_CONDITION, IdentifiedModel, judged_condition
-from agent.pages.elements import Section, Shade, Table
-from agent.pages.plots import SERIES, Panel, Plot, Series
+from agent.pages.elements import Section, Table
+from agent.pages.plots import Panel, Plot, Series
 from agent.recording import Log
 from agent.validation import observability
 
@@ -18,8 +18,6 @@ _PRIOR = (
     "Prior: what description and torque level say before the fit. From the data: how much they reduce its variance. "
     "Near 100 % the data determine a parameter, near 0 % the prior does."
 )
-#: Correlations from which a pair is coloured, and counted; pairs that are listed.
-_SHOWN, _STRONG, _MOST_PAIRS = 0.1, 0.95, 12
 
 
 def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Section:
@@ -76,40 +74,3 @@ def observation_section(model: IdentifiedModel, log: Log) -> Section:
     return Section(
         "Observation matrix", text, (Plot("singular-values", caption, "number", (panel,), number), directions)
     )
-
-
-def correlation_section(model: IdentifiedModel) -> Section:
-    """A map of the correlations of the parameters' estimates, and the strongest pairs."""
-    values, names = correlation(model.covariance), model.names
-    first, second = np.triu_indices(len(values), 1)
-    order = np.argsort(-np.abs(values[first, second]))[:_MOST_PAIRS]
-    rows = [(names[first[k]], names[second[k]], f"{values[first[k], second[k]]:+.3f}") for k in order]
-    strong = int((np.abs(values[first, second]) > _STRONG).sum())
-    text = (
-        f"{strong} of {len(first)} pairs of parameters are correlated beyond {_STRONG}. The data determine the sum "
-        "or difference of such a pair, not each value. Predictions are not affected.",
-    )
-    squares: list[list[str | Shade]] = []
-    for k, name in enumerate(names):
-        pairs = [(float(values[k, other]), names[other]) for other in range(k)]
-        row = [
-            _square(value, f"{name}, {other}: {value:+.2f}") if abs(value) >= _SHOWN else "" for value, other in pairs
-        ]
-        squares.append([name, *row, *[""] * (len(names) - k)])
-    caption = "Correlation of the parameters' estimates: blue with each other, orange against each other, full at 1."
-    parts = (
-        Table("correlation", ("parameter", *names), squares, caption=caption, dense=True),
-        Table("correlated-pairs", ("parameter", "with", "correlation"), rows),
-    )
-    return Section("Correlation of parameters", text, parts)
-
-
-def _square(value: float, title: str) -> Shade:
-    return Shade(value, f"{value:+.2f}", title, colour=SERIES[0] if value > 0 else SERIES[1])
-
-
-def correlation(covariance: np.ndarray) -> np.ndarray:
-    """(p, p) of a covariance; 0 next to a parameter without variance."""
-    deviation = np.sqrt(np.diag(covariance))
-    scale = np.where(deviation > 0, deviation, 1.0)
-    return np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)

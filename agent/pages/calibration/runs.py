@@ -14,8 +14,7 @@ from agent.model import IdentifiedModel
 from agent.pages.calibration.comparison import against_last_accepted, comparison_section
 from agent.pages.calibration.friction import friction_section
 from agent.pages.calibration.loop import ShownLoop, motion_section, search_section
-from agent.pages.calibration.paper_estimator import paper_section
-from agent.pages.calibration.parameters import correlation_section, observation_section, parameters_section
+from agent.pages.calibration.parameters import observation_section, parameters_section
 from agent.pages.calibration.prediction import error_table
 from agent.pages.calibration.recordings import LogHealth, conditions_section, log_section, percent, provenance_section
 from agent.pages.calibration.residuals import residual_section
@@ -75,8 +74,6 @@ def calibration_report(data: RunContent) -> str:
         friction_section(data.predictions),
         against_last_accepted(data.run, model, data.excitation),
         observation_section(model, data.excitation),
-        correlation_section(model),
-        paper_section(model, data.excitation, data.predictions, data.loop.recipe.tool),
         log_section([LogHealth.of(data.excitation), *data.health]),
         conditions_section(result["conditions"], result["validation"]["joints"]),
         parameters_section(model.rows(), result["estimation"]["notes"]),
