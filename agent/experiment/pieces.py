@@ -46,6 +46,8 @@ PERIOD = 0.01
 _SPEED_ROUND_OFF = 1.01
 #: Change of a gene when a piece is varied.
 _VARY = 0.15
+#: Standard deviation of the logarithm of a neighbour's speed and turn.
+_FACTOR = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +135,8 @@ class Pieces:
         """A neighbour of a piece."""
         draw, rng = piece.draw, self._rng
         genome = np.clip(draw.genome + _VARY * rng.standard_normal(len(draw.genome)), 0.0, 1.0)
-        factor = float(np.exp(0.3 * rng.standard_normal()))
-        turn = draw.turn * float(np.exp(0.3 * rng.standard_normal()))
+        factor = float(np.exp(_FACTOR * rng.standard_normal()))
+        turn = draw.turn * float(np.exp(_FACTOR * rng.standard_normal()))
         return self.make(replace(draw, genome=genome, speed=min(draw.speed * factor, 1.0), turn=turn))
 
     def make(self, draw: Draw) -> Piece | None:

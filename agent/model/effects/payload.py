@@ -16,6 +16,7 @@ _ROUNDS = 6
 _START = ("m0", "hx0", "hy0", "hz0")
 _POINT = "point_mass"  # in settings without an inertia of its own
 _INERTIA_TOLERANCE = 0.1  # of m r²: an inertia this far below zero counts as zero
+_USUAL = (20.0, 5.0, 0.5, 2.0)  # kg, kg·m, kg·m² of a ball's own and of a link's inertia: standard deviations of a load
 _LEAST_RADIUS = 0.05  # m, of that r
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
@@ -73,7 +74,8 @@ class Payload(Effect):
         return _of_ball(link, settings)
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
-        scales = [20.0, 5.0, 5.0, 5.0, *([0.5] if settings else [2.0] * 6)]
+        mass, moment, own, link = _USUAL
+        scales = [mass, *[moment] * 3, *([own] if settings else [link] * 6)]
         return np.diag(1 / np.array(scales[: len(self.names(settings))]) ** 2)
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:

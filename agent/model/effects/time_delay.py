@@ -17,6 +17,7 @@ from agent.model.rigid_friction import RigidFrictionModel
 _TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
 _ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay
 _SHARPER = (0.5, 0.25)
+_SHARE = 0.5  # by which the fitted share of a delay may be off from 1
 _SHARP = 2.5e-3  # of a joint's highest speed: friction that turns over less was not fitted to late torque
 _SHORTEST, _LONGEST = 1e-4, 0.05  # s
 
@@ -76,7 +77,7 @@ class TimeDelay(Effect):
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
-        return 0.5 < values["share"] < 1.5
+        return abs(values["share"] - 1) < _SHARE
 
 
 def _over_time(signals: MotionSignals, part: float | None) -> Callable[[np.ndarray], np.ndarray]:

@@ -16,6 +16,7 @@ _RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0, 1.4, 
 _FREE_RATIOS = (0.1, 0.3, 0.6, 1.0, 1.7)
 _RUBBING_RATIOS = (0.07, 0.12, 0.2, 0.33, 0.5, 0.72, 1.0, 1.4, 1.9)
 _LEAST_RATIO = 0.04  # below it what the coupled axle rubs is no other than what it rubs by itself
+_SHARE = 0.7  # by which the fitted share of a ratio may be off from 1
 _REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses over a travel or at once
 
 
@@ -122,8 +123,9 @@ class WristCoupling(Effect):
         if "besides" in settings:
             rubs = values["coulomb"] > 0 or values["viscous"] > 0
             turns = min(values.get("rotor", 1.0), values.get("inertia", 1.0)) > 0
-            return rubs and turns and 0.3 < values.get("share", 1.0) < 1.7
-        return values["rotor"] > 0 and 0.3 < values.get("share", 1.0) < 1.7 and values.get("transmission", -1.0) < 0
+            return rubs and turns and abs(values.get("share", 1.0) - 1) < _SHARE
+        as_ratio = abs(values.get("share", 1.0) - 1) < _SHARE
+        return values["rotor"] > 0 and as_ratio and values.get("transmission", -1.0) < 0
 
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
         """Friction at the coupled speed never drives, apart from a tenth of its size: both are estimates."""

@@ -1,0 +1,45 @@
+"""Every number that may change an answer has a line in docs/measured/numbers.csv, and varying one varies that alone."""
+
+import pytest
+
+from agent.diagnosis.hypotheses.law import LAW
+from agent.model import CATALOGUE
+from agent.model.effects import payload, stribeck
+from benchmarks import sensitivity
+
+NUMBERS = {site.key: site for site in sensitivity.sites()}
+
+
+def test_every_number_has_its_line():
+    lines = {number: row["value"] for number, row in sensitivity.table().items()}
+    now = {number: site.value for number, site in NUMBERS.items()}
+    differ = sorted(number for number in now.keys() | lines.keys() if now.get(number) != lines.get(number))
+    assert differ == [], "say what they change, or take them out: python benchmarks/sensitivity.py --runs 12"
+    assert sensitivity.PAGE.read_text("utf-8") == sensitivity.page(list(sensitivity.table().values()))
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "double"),
+    [(0.2, 0.1, 0.4), (3, 2, 6), (0.95, 0.975, 0.9), (1.1, 1.05, 1.2), ((0.1, 2.0), (0.05, 1.0), (0.2, 4.0))],
+)
+def test_shares_and_factors_are_varied_by_what_they_leave(value, half, double):
+    assert sensitivity.varied(value, 0.5) == pytest.approx(half)
+    assert sensitivity.varied(value, 2.0) == pytest.approx(double)
+
+
+def test_a_number_is_varied_wherever_it_stands_and_put_back():
+    plausible = CATALOGUE["payload"].plausible
+    light = {"mass": 0.015, **dict.fromkeys(("moment_x", "moment_y", "moment_z"), 0.0)}
+    assert plausible({}, light)
+    with sensitivity.changed(NUMBERS["model/effects/payload: Payload.plausible.0.01"], 2.0):
+        assert not plausible({}, light)
+    assert plausible({}, light)
+    with sensitivity.changed(NUMBERS["diagnosis/hypotheses/law: EvidenceLaw.sure"], 2.0):
+        assert LAW.sure == pytest.approx(0.2)
+    assert LAW.sure == 0.6
+    with sensitivity.changed(NUMBERS["model/effects/stribeck: Stribeck.needs_speed"], 2.0):
+        assert CATALOGUE["stribeck"].needs_speed == 2 * 0.05
+    assert stribeck.Stribeck.needs_speed == 0.05
+    with sensitivity.changed(NUMBERS["model/effects/payload: _LEAST_RADIUS"], 0.5):
+        assert payload._LEAST_RADIUS == 0.025
+    assert payload._LEAST_RADIUS == 0.05
