@@ -16,7 +16,7 @@ from tests.conftest import ROOT
 GUIDES = [ROOT / f"{name}.md" for name in ("CODE_OF_CONDUCT", "CONTRIBUTING", "SECURITY")]
 PAGES = [ROOT / "README.md", *GUIDES, *sorted((ROOT / "docs").rglob("*.md"))]
 #: Generated from code, whose tests check its words.
-PENDING = {"docs/reference.md"}
+PENDING = {"docs/reference.md", "docs/measured/numbers.md"}
 PACKAGES = ("agent", "benchmarks", "docs", "drivers", "fake_controller", "second_world", "tests")
 #: Modules whose texts people read on terminal and pages.
 MODULES = {path for package in ("cli", "pipeline", "pages") for path in (ROOT / "agent" / package).rglob("*.py")}
