@@ -24,6 +24,7 @@ from .hypotheses.selected_causes import Hypothesis as Hypothesis, SelectedCauses
 from .hypotheses.testability import smallest_sizes as smallest_sizes
 from .labels import could_show as could_show, in_torque as in_torque, shown as shown, torque_gap as torque_gap
 from .limits import LIMITS as LIMITS
+from .position_logs.separation import separations as separations
 from .position_logs.workflow import without_torque as without_torque
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .rows.candidate import Candidate as Candidate, HypothesisKey as HypothesisKey

@@ -4,7 +4,10 @@ from .genetic import LoopScore as LoopScore, ranking as ranking
 from .loop_search import search as search
 from .reach import check_sub_region as check_sub_region, working_box as working_box
 from .set_points import (
+    CHIRP as CHIRP,
     EXCITATIONS as EXCITATIONS,
+    REVERSALS as REVERSALS,
+    STEPS as STEPS,
     SetPointMotion as SetPointMotion,
     SetPointPlan as SetPointPlan,
     excitation as excitation,

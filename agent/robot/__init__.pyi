@@ -11,6 +11,7 @@ from .description import (
     RobotDescription as RobotDescription,
     builtin_robots as builtin_robots,
     description_file as description_file,
+    is_gripper as is_gripper,
     load_robot as load_robot,
 )
 from .drivetrain import (

@@ -17,6 +17,12 @@ from agent.core import LARGEST_ROBOT_FILE, InputError, load_document, read_text
 from agent.robot.urdf_checks import check_urdf, parse_robot_file
 
 _NAMED_ENDS = 8  # links of a message
+_GRIPPER = re.compile(r"gripper|finger|jaw|hand", re.IGNORECASE)
+
+
+def is_gripper(name: str) -> bool:
+    """Whether a joint opens a hand."""
+    return bool(_GRIPPER.search(name))
 
 
 class _Strict(BaseModel):
@@ -169,6 +175,12 @@ class RobotDescription:
     def dof(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    @property
+    def load_link(self) -> int:
+        """The link that carries a load, from 0: the last one that is no gripper's."""
+        arm = [k for k, joint in enumerate(self.joints) if not is_gripper(joint.name)]
+        return arm[-1] if arm else self.dof - 1
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -83,7 +83,7 @@ def in_numbers(model: IdentifiedModel) -> NumbersOfModel:
     stiffness, rest = np.zeros(n), np.zeros(n)
     for entry in model.effects:
         joints = [robot.joint_names.index(name) for name in entry.joints]
-        numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, n)
+        numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, robot.load_link)
         levels = None if numbers is None else _levels(model, joints, numbers)
         if numbers is None or levels is None:
             left.append(entry)

@@ -159,8 +159,8 @@ class FreeSimulator:
         model.opt.timestep = self.step = min(float(model.opt.timestep), _COARSEST)
 
     def carrying(self, load: np.ndarray) -> FreeSimulator:
-        """The same arm, its last link with more standard parameters (10,); as it is where no body could have them."""
-        body = self.arm.carrying[-1]
+        """The same arm with a load: standard parameters (10,) that its link gains; as it is where no body has them."""
+        body = self.arm.carrying[self.arm.robot.load_link]
         found, model = copy(self), copy(self.model)
         place, back = model.body(body.name).id, np.linalg.inv(body.pose)
         matrix = np.empty(9)
@@ -216,7 +216,8 @@ class FreeSimulator:
         count = int(np.ceil((until - begin) / self.step - 1e-6)) + 1
         time = begin + self.step * np.arange(count)
         model = self._set(numbers)
-        asked = command.between(np.append(time, time[-1] + self.step), numbers.delay)
+        # a control is that of the step's start, as where the actuator has the delay; its mean around is smooth in it
+        asked = command.between(np.append(time, time[-1] + self.step) - 0.5 * self.step, numbers.delay)
         inputs = np.zeros((count, model.nu))
         inputs[:, list(self.servos.inputs)] = self._servos(numbers).controls(asked)
         kinds = self._mujoco.mjtState

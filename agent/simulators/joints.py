@@ -11,7 +11,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from agent.core import InputError, counted, load_document
-from agent.recording import is_gripper, joint_pairs
+from agent.recording import joint_pairs
+from agent.robot import is_gripper
 
 #: Similarity from which two names may mean one joint.
 _ALIKE = 0.6

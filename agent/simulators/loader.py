@@ -10,8 +10,8 @@ from xml.etree.ElementTree import Element
 
 from agent.core import LARGEST_ROBOT_FILE, InputError, counted, read_bytes
 from agent.model import IdentifiedModel
-from agent.recording import is_gripper, joint_pairs, named_joints, prefixed
-from agent.robot import RobotDescription, parse_robot_file
+from agent.recording import joint_pairs, named_joints, prefixed
+from agent.robot import RobotDescription, is_gripper, parse_robot_file
 from agent.simulators.arm import SimulatedArm, described, model_of
 from agent.simulators.joints import matched
 from agent.simulators.mjcf import branches_of, longest_branch, read_mjcf

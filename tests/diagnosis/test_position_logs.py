@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from agent.cli.app import app
 from agent.core import InputError
 from agent.diagnosis import corrected, diagnose
 from agent.diagnosis.position_logs.recording import stretches_of
 from agent.model import NominalModel
-from agent.recording import HOLD, Log
+from agent.recording import HOLD, Log, write_log
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, load_simulator, write_corrected
 
 mujoco = pytest.importorskip("mujoco")
@@ -97,6 +99,22 @@ def test_wrong_gains_of_all_servos_may_be_a_load(source):
     assert result["verdict"] == "ambiguous"
     first = result["causes"][0]
     assert "payload" in (first["effect"], *(other["effect"] for other in first["equivalent_to"]))
+
+
+def test_the_next_set_points_are_planned_where_gains_and_a_load_are_open(source, tmp_path):
+    logs = []
+    for k in (1, 2):
+        log = recorded(source, k, gain=0.7, joints=slice(0, 2))
+        logs.append(str(tmp_path / log.name))
+        write_log(Path(logs[-1]), replace(log, path=Path(logs[-1])))
+    page, next_folder = tmp_path / "page.html", tmp_path / "next"
+    words = ["diagnose", "--model", str(source), "--next", str(source), "-o", str(next_folder), "--report", str(page)]
+    found = CliRunner().invoke(app, [*words, *logs])
+    assert found.exit_code == 0, found.exception
+    assert "payload or torque_constant" in found.stdout or "torque_constant on lift or payload" in found.stdout
+    assert "probability of the right answer" in found.stdout
+    assert (next_folder / "motion_1.csv").is_file()
+    assert "probability" in page.read_text(encoding="utf-8").lower()
 
 
 def test_a_load_is_found_with_its_mass_and_not_as_gains_of_all_servos(source, tmp_path):

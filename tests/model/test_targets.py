@@ -97,9 +97,9 @@ def test_the_mjcf_moves_as_the_file_with_commands_that_much_later(numbers, fixed
     paths, _ = exported(numbers, "mjcf", tmp_path)
     late, plain = (mujoco.MjModel.from_xml_path(str(path)) for path in (paths["two.xml"], fixed))
     np.testing.assert_allclose(late.actuator_delay, LATE)
-    command = 0.4 * np.sin(np.arange(1000) * 0.002 * 5.0)[:, None] * [1.0, 0.3]
-    steps = 34  # of 2 ms, 67 ms rounded up: MuJoCo holds a control between steps
-    ahead = np.vstack([np.zeros((steps, 2)), command])[: len(command)]
+    t = np.arange(1000) * 0.002
+    command = 0.4 * np.sin(5.0 * t)[:, None] * [1.0, 0.3]
+    ahead = np.stack([np.interp(t - LATE, t, column) for column in command.T], axis=1)  # between two steps
     moved = []
     for model, commands in ((late, command), (plain, ahead)):
         data = mujoco.MjData(model)

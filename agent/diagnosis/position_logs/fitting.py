@@ -205,9 +205,9 @@ def _loaded(reference: NominalModel, load: np.ndarray) -> NominalModel:
 
 
 def with_link(model: Model, gained: np.ndarray) -> Model:
-    """The model whose last link has gained standard parameters (10,)."""
+    """The model in which the link that carries a load has gained standard parameters (10,)."""
     change = np.zeros(model.projection.shape[1])
-    change[ParameterLayout.of(model.robot).link(model.robot.dof - 1)] = gained
+    change[ParameterLayout.of(model.robot).link(model.robot.load_link)] = gained
     values = model.values.copy()
     values[: len(model.independent)] += model.projection @ change
     return replace(model, values=values)

@@ -65,7 +65,7 @@ class CommandedStretch:
             )
             for name in ("q", "qd", "qdd", "torque", "stuck", "limited")
         }
-        command = self.command.between(np.append(time, 2 * time[-1] - time[-2]), numbers.delay)
+        command = self.command.between(_around(time), numbers.delay)
         there = FreeMotion(
             time, on["q"], on["qd"], on["qdd"], on["torque"], command, on["stuck"] > 0.5, on["limited"] > 0.5
         )
@@ -89,7 +89,7 @@ class LinearisedMotion:
         """(S', n, 5 n) change of the judged positions with each number, kind by kind as in `ServoNumbers.table`."""
         m, servos, n = self.motion, simulator.servos, self.motion.q.shape[1]
         free = ~m.limited
-        edges = np.append(m.time, 2 * m.time[-1] - m.time[-2])
+        edges = _around(m.time)
         early, late = (self.stretch.command.between(edges, numbers.delay + sign * 5e-4) for sign in (-1, 1))
         asked = np.clip(m.command, servos.least, servos.most)
         by_delay = numbers.kp * (early - late) / 1e-3 * free
@@ -101,10 +101,16 @@ class LinearisedMotion:
         return found
 
     def load_columns(self, shape: np.ndarray) -> np.ndarray:
-        """(S', n, K) change of the judged positions with parameters of the last link, `shape` (10, K) per unit."""
+        """(S', n, K) change of the judged positions with a load: what its link gains, `shape` (10, K), per unit."""
         robot = self.signals.reference.robot
-        torque = self.signals.standard[:, :, ParameterLayout.of(robot).link(robot.dof - 1)] @ shape
+        torque = self.signals.standard[:, :, ParameterLayout.of(robot).link(robot.load_link)] @ shape
         return self.response.of_torque({j: torque[:, j] for j in range(robot.dof)})
+
+
+def _around(time: np.ndarray) -> np.ndarray:
+    """(T + 1,) edges of intervals around times (T,)."""
+    edges = np.append(time, 2 * time[-1] - time[-2])
+    return np.asarray(edges - 0.5 * np.diff(edges, append=2 * edges[-1] - edges[-2]))
 
 
 def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tuple[CommandedStretch, ...]:

@@ -52,11 +52,7 @@ def assemble_positions(
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     signals = []
     for line, left, numbers in zip(found.motions, found.residuals, found.columns, strict=True):
-        base = fitted.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
-        bodies = line.response.of_torque({j: base[:, j] for j in range(n)})
-        kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(5)]
-        friction = np.stack([kinds[2], kinds[1]], axis=3).reshape(*kinds[1].shape[:2], 2 * n)
-        columns = np.concatenate([bodies, friction, kinds[3], kinds[4]], axis=2)
+        columns = model_columns(line, reference, numbers)
         at_file = left + columns @ away
         for j in range(n):
             rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
@@ -83,6 +79,19 @@ def assemble_positions(
     file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
     servos = ServoParameters(covariance, given.kp, _USUAL_DELAY, file, step=found.simulator.step)
     return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
+
+
+def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.ndarray) -> np.ndarray:
+    """(S', n, p) change of the positions with each parameter of the model, each kp and each delay.
+
+    `numbers` (S', n, 5 n) are those of joints and servos (`LinearisedMotion.number_columns`).
+    """
+    n = numbers.shape[1]
+    base = reference.model.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
+    bodies = line.response.of_torque({j: base[:, j] for j in range(n)})
+    kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(5)]
+    friction = np.stack([kinds[2], kinds[1]], axis=3).reshape(*kinds[1].shape[:2], 2 * n)
+    return np.concatenate([bodies, friction, kinds[3], kinds[4]], axis=2)
 
 
 def _as_given(found: OutputErrorFit) -> np.ndarray:

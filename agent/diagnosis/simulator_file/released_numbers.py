@@ -295,7 +295,7 @@ def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
 
 def _load(found: ReleasedSimulator) -> dict[str, float]:
     """Mass [kg] and first moments [kg·m] that the last link gained, where it gained more than its prior deviation."""
-    last = found.given.robot.dof - 1
+    last = found.given.robot.load_link
     own = [group for group in found.groups if group.kind == "link inertia" and group.joint == last]
     if not own:
         return {}
@@ -356,7 +356,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
     bodies: list[Group] = []
     for group in found.groups:
         joint = () if group.joint < 0 else (names[group.joint],)
-        if load and group.kind == "link inertia" and group.joint == len(names) - 1:
+        if load and group.kind == "link inertia" and group.joint == found.given.robot.load_link:
             like_links = (EffectPlace(called["links"], ()),)
             causes.append(Cause(called["load"], (), closes(group), probability, load, like_links))
         elif group.kind == "friction":

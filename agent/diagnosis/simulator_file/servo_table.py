@@ -35,14 +35,15 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     names, servos = dataset.robot.joint_names, dataset.servos
     assert servos is not None
     doubtful = doubtful_gains(dataset)
-    values = _numbers(dataset, found.released.groups, fit.fitted()[0])
+    values = servo_numbers(dataset, found.released.groups, fit.fitted()[0])
     drives = drive_groups(dataset)
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     inverse, _ = wide.solve(np.ones(wide.cells, dtype=bool))
     p = len(dataset.held)
     spread = _NORMAL * _deviations(dataset, drives, inverse[:p, :p])
     for folds in (wide.folds, wide.single):
-        spread = np.maximum(spread, _jackknife(np.stack([_numbers(dataset, drives, wide.fitted(f)[0]) for f in folds])))
+        without = [servo_numbers(dataset, drives, wide.fitted(fold)[0]) for fold in folds]
+        spread = np.maximum(spread, _jackknife(np.stack(without)))
     spread[-1] = np.maximum(spread[-1], 0.5 * servos.step)
     more = {"delay_s": np.full(len(names), servos.later), "armature": servos.step * values[1]}
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
@@ -58,7 +59,7 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     return {"servo": table, "scale_from": scale}
 
 
-def _numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
+def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
     """(5, n) in the order of `SERVO_NUMBERS`: those of the file, moved by a change (p,)."""
     servos, model = dataset.servos, dataset.model
     assert servos is not None

@@ -47,7 +47,7 @@ class BaseTilt(Effect):
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return float(np.hypot(values["tilt_1"], values["tilt_2"])) < 0.5
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         return SimulatorNumbers(tilt=(values["tilt_1"], values["tilt_2"]))
 
 

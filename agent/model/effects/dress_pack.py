@@ -90,7 +90,7 @@ class DressPack(Effect):
         bent = 2 * abs(values.get("quadratic", 0.0)) * reach + 3 * abs(values.get("cubic", 0.0)) * reach**2
         return abs(values.get("stiffness", 0.0)) + bent < _STIFFEST * float(reference.scale[joints[0]])
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers | None:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         return linear_spring(values)
 
 

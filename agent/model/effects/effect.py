@@ -199,7 +199,7 @@ class Effect(ABC):
         """Parameters as a result shows them."""
         return {**settings, **values}
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers | None:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         """What its reported parameters are in the numbers of a simulator's file of an arm with `dof` joints; None where
         numbers do not say it."""
         return None

@@ -34,5 +34,5 @@ class EncoderOffset(Effect):
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return abs(values["offset"]) < 0.3
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         return SimulatorNumbers(zero=values["offset"])

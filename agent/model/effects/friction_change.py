@@ -52,6 +52,6 @@ class FrictionChange(FrictionLevel):
     def reversing(self, context: FitContext, joints: Joints, settings: Numbers) -> list[dict[str, float]]:
         return super().reversing(context, joints, settings) if "coulomb" in settings else []
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         levels = {form: values[f"{form}_change"] for form in ("coulomb", "viscous") if f"{form}_change" in values}
         return SimulatorNumbers(friction=levels, beyond=self.reversal(values))

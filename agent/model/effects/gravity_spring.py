@@ -57,5 +57,5 @@ class GravitySpring(Effect):
         swing = [value for name, value in values.items() if name != "constant"]  # about its rest position
         return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers | None:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         return linear_spring(values)

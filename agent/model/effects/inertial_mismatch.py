@@ -50,5 +50,5 @@ class InertialMismatch(Effect):
         layout = ParameterLayout.of(context.reference.robot)
         return np.diag(1 / context.reference.prior_std[layout.link(int(settings["link"]) - 1)] ** 2)
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         return SimulatorNumbers(body=(int(values["link"]) - 1, np.array([values[name] for name in self.names(values)])))

@@ -83,9 +83,9 @@ class Payload(Effect):
         mass = abs(values["mass"])
         return mass > 0.01 and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
 
-    def simulator_numbers(self, values: Numbers, dof: int) -> SimulatorNumbers:
+    def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         added = np.array([values[name] for name in self.names(values)])
-        return SimulatorNumbers(body=(dof - 1, np.asarray(ball(values) @ added if "m0" in values else added)))
+        return SimulatorNumbers(body=(load_link, np.asarray(ball(values) @ added if "m0" in values else added)))
 
     def _has_inertia(self, values: Numbers) -> bool:
         """Whether a ball's own inertia, counted as its mass is, is not clearly below zero."""
@@ -95,9 +95,9 @@ class Payload(Effect):
 
 
 def _last_link(signals: MotionSignals) -> np.ndarray:
-    """(S, 10 n) torque of each joint per unit of each parameter of the last link."""
+    """(S, 10 n) torque of each joint per unit of each parameter of the link that carries it."""
     robot = signals.reference.robot
-    return signals.standard[:, :, ParameterLayout.of(robot).link(robot.dof - 1)].reshape(len(signals.time), -1)
+    return signals.standard[:, :, ParameterLayout.of(robot).link(robot.load_link)].reshape(len(signals.time), -1)
 
 
 def _of_ball(link: np.ndarray, settings: Numbers) -> Columns:

@@ -19,6 +19,7 @@ from agent.pipeline.gap.diagnosis_run import DiagnosisRun, find, read_at_rest, r
 from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import GapQuestion, options_of
+from agent.pipeline.gap.set_points import next_set_points
 from agent.pipeline.gap.simulator import run_forward, write_simulator
 from agent.pipeline.gap.until_sure import Rounds, until_sure
 from agent.pipeline.identify import load_arm
@@ -27,7 +28,7 @@ from agent.pipeline.plan import plan_once
 from agent.recipe import load_recipe
 from agent.robot import RobotDescription
 from agent.runs import robot_lock
-from agent.simulators import Simulator
+from agent.simulators import Simulator, is_simulator
 
 #: Copies in the run folder of the model to compare with and of the log with the drives off.
 _SIMULATOR, _DRIVES_OFF = "simulator.json", "drives_off.mcap"
@@ -218,7 +219,7 @@ def _results(
         result |= run_forward(diagnosis, simulator, correction, console)
     yield result
     if question.next_recipe is not None:
-        motions = _planned(diagnosis, question, console)
+        motions = _planned(diagnosis, simulator, question, console)
         for what in ("the next motion", "the motion with a known mass"):
             try:
                 planned = next(motions, {})
@@ -235,10 +236,15 @@ def _results(
         _write_model(diagnosis, question.out, console)
 
 
-def _planned(diagnosis: Diagnosis, question: GapQuestion, console: Console) -> Iterator[dict[str, Any]]:
+def _planned(
+    diagnosis: Diagnosis, simulator: Simulator | None, question: GapQuestion, console: Console
+) -> Iterator[dict[str, Any]]:
     """`next_experiment`: the next motion, then that with a known mass if it makes the answer clearer."""
     assert question.next_recipe is not None
     assert question.out is not None
+    if is_simulator(question.next_recipe):
+        yield {"next_experiment": next_set_points(diagnosis, simulator, question.next_recipe, question.out, console)}
+        return
     load = None if question.next_payload is None else payload_of(question.next_payload)
     recipe = load_recipe(question.next_recipe)
     deadline = Deadline(console.progress, question.planning_budget)

@@ -49,7 +49,9 @@ def find(
         )
     if robot is None:
         raise InputError("diagnose: name the robot (--robot R), or a model that describes the arm (--model MODEL)")
-    further = None if question.next_recipe is None else load_recipe(question.next_recipe)
+    further = None
+    if question.next_recipe is not None and not is_simulator(question.next_recipe):
+        further = load_recipe(question.next_recipe)
     if further is not None:
         check_arm(further, robot)
     console.step(f"reading {counted(len(paths), 'log')}")

@@ -16,11 +16,13 @@ from agent.experiment import LONGEST, Deadline, NextMotion, NoMotion, WithMass, 
 from agent.link import PROGRAM_SHA256, SCHEMA, check_payload
 from agent.model import payload_of
 from agent.motion import dialects
+from agent.pipeline.gap.set_points import servo_arm
 from agent.pipeline.plan import loop_problem
 from agent.recipe import Recipe, load_recipe
 from agent.recording import Log
 from agent.robot import RobotDescription, Tool, kinematics_for
 from agent.runs import make_folder, write_json
+from agent.simulators import is_simulator
 
 #: Distance of the ends of two descriptions of one arm, as a share of its reach: under another name, and the same.
 _SAME_ARM, _SAME_NAME = 0.15, 0.05
@@ -77,6 +79,11 @@ def check_next(recipe: Path, folder: Path | None, load: str | None = None) -> No
     if folder is None:
         raise InputError("diagnose: --next plans a motion: name the folder for it with -o DIR")
     check_folder(folder)
+    if is_simulator(recipe):
+        if load is not None:
+            raise InputError(f"diagnose: --payload belongs to the motion of a recipe; {recipe} is an arm's file")
+        servo_arm(recipe)
+        return
     loaded = load_recipe(recipe)
     if load is not None:
         check_payload(loaded.robot, loaded.tool, payload_of(load))

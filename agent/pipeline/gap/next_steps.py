@@ -48,17 +48,7 @@ def after_diagnosis(
         what = f"or, for a clearer answer, mount {mass} (or the mass you have) at the flange and plan for it:"
         loaded = [NextStep(what, shlex.join([*words, "--next", str(recipe), "--payload", mass, "-o", folder, *paths]))]
     if question.next_recipe is not None and experiment.get("program"):
-        program, mass = Path(experiment["program"]), experiment.get(PAYLOAD)
-        record = ["agent", "record", str(question.next_recipe), "--program", str(program)]
-        record += [] if mass is None else ["--payload", mass]
-        first = "" if mass is None else f"mount {mass} at the flange, then "
-        on_brakes = " and --drives-off LOG" if BRAKES in experiment["motion"] else ""
-        with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
-        return [
-            NextStep(f"{first}run the planned motion:", shlex.join(record)),
-            NextStep(f"diagnose again with its log{on_brakes}:", with_it),
-            *loaded,
-        ]
+        return [*_run_planned(experiment, question.next_recipe, again), *loaded]
     if not result["causes"] or result["verdict"] == "ambiguous":
         if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
             again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *paths])
@@ -79,6 +69,22 @@ def after_diagnosis(
         return [NextStep("check the model with its effects on a log that took no part:", check)]
     effects = "effects" if len(result["causes"]) > 1 else "effect"
     return [NextStep(f"add the {effects} to the model:", f"{again} -o model_with_effects.json")]
+
+
+def _run_planned(experiment: Mapping[str, Any], planned_for: Path, again: str) -> list[NextStep]:
+    """The steps after a motion was planned for a recipe, or for an arm's file."""
+    if is_simulator(planned_for):
+        return [NextStep("send the planned set-points and record each motion, then:", f"{again} NEW_DATA")]
+    program, mass = Path(experiment["program"]), experiment.get(PAYLOAD)
+    record = ["agent", "record", str(planned_for), "--program", str(program)]
+    record += [] if mass is None else ["--payload", mass]
+    first = "" if mass is None else f"mount {mass} at the flange, then "
+    on_brakes = " and --drives-off LOG" if BRAKES in experiment["motion"] else ""
+    with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
+    return [
+        NextStep(f"{first}run the planned motion:", shlex.join(record)),
+        NextStep(f"diagnose again with its log{on_brakes}:", with_it),
+    ]
 
 
 def _compared(simulator: Path) -> str:

@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 
 from agent.core import Console, InputError, write_atomically
-from agent.excitation import EXCITATIONS, SetPointMotion, SetPointPlan, excitation, plan_set_points
+from agent.diagnosis import Diagnosis, separations
+from agent.excitation import (
+    CHIRP,
+    EXCITATIONS,
+    REVERSALS,
+    STEPS,
+    SetPointMotion,
+    SetPointPlan,
+    excitation,
+    plan_set_points,
+)
 from agent.recording import write_targets
 from agent.runs import make_folder, write_json
 from agent.simulators import Simulator, load_arm, load_simulator
@@ -19,6 +29,11 @@ _RATE = 100.0  # Hz of the tables
 _FPS = 30  # frames a second of LeRobot's recorder where nobody says otherwise
 _LEROBOT = "lerobot"
 _TASK = "motion for system identification"
+#: A kind alone has to add as much to the probability of the right answer, over all kinds together; and any motion.
+_ALIKE, _HELPS = 0.02, 0.05
+_TEXTS = {STEPS: "steps with rests", CHIRP: "a chirp to 3 Hz", REVERSALS: "slow reversals in several postures"}
+_NO_MOTION = "no motion of the arm alone settles this:"
+_OTHERWISE = "say what is known (--known kp), or weigh the load and put it into the file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +98,53 @@ def plan_of_file(path: Path, folder: Path, console: Console, kinds: Sequence[str
     simulator = servo_arm(path)
     console.step("simulating a minute of set-points")
     return write_set_points(plan_set_points(simulator, _RATE, kinds), folder)
+
+
+def next_set_points(
+    found: Diagnosis, simulator: Simulator | None, path: Path, folder: Path, console: Console
+) -> dict[str, Any] | None:
+    """Plan the set-points that separate what position logs leave open; returns `next_experiment` of the diagnosis.
+
+    Tried are all kinds of motion together and each alone, for as long. Nothing is written where nothing helps.
+
+    Raises:
+        InputError: the logs have torque, or as `plan_of_file`.
+    """
+    if simulator is None or found.dataset.servos is None:
+        raise InputError(f"diagnose: --next {path}: the logs have torque, so name a recipe (agent init)")
+    console.step("weighing motions of set-points")
+    limits, share = (plan := plan_set_points(servo_arm(path), _RATE)).limits, plan.share
+    tried = {EXCITATIONS: "all of them", **{(kind,) * len(EXCITATIONS): kind for kind in EXCITATIONS}}
+    motions = {name: excitation(limits, float(_FPS), share, kinds)[0] for kinds, name in tried.items()}
+    told = separations(found, simulator, {name: (one.time, one.set_points) for name, one in motions.items()})
+    if not told:
+        console.warn(f"no effect or number is open, so nothing is written to {folder}")
+        return None
+    chance = {kinds: float(np.mean([pair.after[name] for pair in told])) for kinds, name in tried.items()}
+    best = max(chance, key=lambda kinds: chance[kinds])
+    best = EXCITATIONS if chance[EXCITATIONS] >= chance[best] - _ALIKE else best
+    separates = sorted({name for pair in told for name in pair.names})
+    if chance[best] < float(np.mean([pair.before for pair in told])) + _HELPS:
+        return {"separates": separates, "motion": f"{_NO_MOTION} {_OTHERWISE}", "program": None}
+    files = write_set_points(plan_set_points(servo_arm(path), _RATE, best), folder)
+    motion = files.plan.motions[0]
+    return {
+        "separates": separates,
+        "motion": f"{' and '.join(_TEXTS[kind] for kind in dict.fromkeys(best))}, {len(files.plan.motions)} times "
+        f"{motion.time[-1]:.0f} s",
+        "program": str(folder),
+        "duration_s": float(sum(one.time[-1] for one in files.plan.motions)),
+        "probability": [
+            {
+                "pair": [pair.cause, pair.rival],
+                "before": pair.before,
+                "after": pair.after[tried[best]],
+                "after_if": [pair.after[tried[best]], None],
+                "smallest_over_practical": None,
+            }
+            for pair in told
+        ],
+    }
 
 
 def servo_arm(path: Path) -> Simulator:

@@ -16,7 +16,6 @@ _ENDS = re.compile(rf"^(.*)[./]({'|'.join(_QUANTITIES)})$")
 #: Beginnings of names that do not say which joint it is.
 _ROLE = re.compile(r"^(?:main|follower|arm|observation\.state|state|action)[_./]+", re.IGNORECASE)
 _SIDE = re.compile(r"^(left|right)(?:_?arm)?[_./]+", re.IGNORECASE)
-_GRIPPER = re.compile(r"gripper|finger|jaw|hand", re.IGNORECASE)
 #: Joints of one arm under the names of its makers' own files: SO-100 in MuJoCo Menagerie against LeRobot.
 _ALSO = {
     "rotation": "shoulder_pan",
@@ -63,11 +62,6 @@ def side_of(name: str) -> str:
 def without_side(name: str) -> str:
     """The cleaned name of a joint of one arm of a pair."""
     return _SIDE.sub("", clean(name))
-
-
-def is_gripper(name: str) -> bool:
-    """Whether a joint opens a hand."""
-    return bool(_GRIPPER.search(name))
 
 
 def poses(names: Sequence[str]) -> list[str]:

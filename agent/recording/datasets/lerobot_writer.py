@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import needed, write_atomically
-from agent.recording.datasets.joints import is_gripper
+from agent.robot import is_gripper
 
 _CHUNK = "chunk-000/file-000.parquet"
 _NUMBERS = {

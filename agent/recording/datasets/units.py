@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.recording.datasets.episodes import UNITS, Recorded
-from agent.recording.datasets.joints import is_gripper
+from agent.robot import is_gripper
 
 #: Ticks of a turn, less one as LeRobot divides, of the encoders of bus servos: 12 bits, also 10 and 14.
 _TICKS = (4095.0, 4096.0, 1023.0, 1024.0, 16383.0, 16384.0)

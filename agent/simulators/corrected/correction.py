@@ -89,7 +89,7 @@ def correct(
     for entry in effects:
         reason = reasons.get((entry.effect, entry.joints), entry.effect)
         joints = [names.index(name) for name in entry.joints]
-        numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, n)
+        numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, model.robot.load_link)
         spring = None if numbers is None or numbers.spring is None else _spring(arm, joints[0], numbers.spring)
         if numbers is None or (numbers.spring is not None and spring is None):
             left += [entry] if CATALOGUE[entry.effect].of_the_arm else []

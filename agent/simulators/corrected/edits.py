@@ -199,6 +199,7 @@ class MjcfEdits:
         actuator = self._servo(k)
         actuator.set("delay", digits(delay))
         actuator.set("nsample", str(int(np.ceil(delay / step - 1e-9)) + 1))
+        actuator.set("interp", "linear")
 
     def set_servo(self, k: int, gain: float, bias: list[float]) -> None:
         """Set gain and bias (b₀, b₁, b₂) of the position actuator of a joint."""

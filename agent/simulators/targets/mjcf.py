@@ -29,7 +29,7 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
         if joint.effort is not None:
             element.set("forcerange", digits(-joint.effort, joint.effort))
         if joint.delay > 0:
-            element.attrib.update(nsample=str(samples(joint, step)), delay=digits(joint.delay))
+            element.attrib.update(nsample=str(samples(joint, step)), interp="linear", delay=digits(joint.delay))
     ElementTree.indent(root)
     return {f"{numbers.name}.xml": '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode")}
 

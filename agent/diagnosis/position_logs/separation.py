@@ -1,0 +1,181 @@
+"""Which set-points would separate what position logs leave open: the expected log Bayes factor of a cause and rival.
+
+Let a cause be true as found. Its rival, with all numbers of joints and servos, leaves on old and new motion together
+
+    E = ½ aᵀ (S − S D (Dᵀ S D + R)⁻¹ Dᵀ S) a,
+
+with S the information of the positions, a the cause, D what the rival and the numbers can do, R their prior (as
+`agent.experiment.scorer` for torque). The factor is about normal with mean E and variance 2 E.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from agent.diagnosis.diagnosis import Diagnosis
+from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
+from agent.diagnosis.position_logs.rows import model_columns
+from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, Group, groups_of
+from agent.diagnosis.simulator_file.servo_table import servo_numbers
+from agent.model import CATALOGUE
+from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, Simulator
+
+_INDEPENDENT = 0.1  # s between independent rows, as in `Fit`
+_FLAT = 1e-6  # of the information on an effect's parameter: its prior
+#: Kinds of numbers that an effect is, by `Effect.numbers`.
+_KINDS = {
+    "friction": ("friction", "rotor inertia"),
+    "links": ("link inertia",),
+    "load": ("link inertia",),
+    GAIN: (GAIN,),
+    DELAY: (DELAY,),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Separation:
+    """A pair that the logs leave open, `names` of its effects, and the probability of the right answer.
+
+    That is `before` any further motion, and `after` each.
+    """
+
+    cause: str
+    rival: str
+    names: tuple[str, str]
+    before: float
+    after: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """One of a pair: groups of numbers, or a candidate with its parameters as found (None: not found)."""
+
+    effect: str
+    text: str
+    groups: tuple[Group, ...]
+    form: Candidate | None
+    values: np.ndarray | None
+
+
+def separations(
+    found: Diagnosis, simulator: Simulator, motions: Mapping[str, tuple[np.ndarray, np.ndarray]]
+) -> list[Separation]:
+    """What each motion, times (S,) [s] and set-points (S, n), would tell of the pairs that are open."""
+    pairs = list(_pairs(found))
+    lines = {name: _line(found, simulator, *motion) for name, motion in motions.items()} if pairs else {}
+    result = []
+    for first, second in pairs:
+        forms = [side.form for side in (first, second) if side.form is not None]
+        old = _of_logs(found, forms)
+        right = {
+            name: _right(found, first, second, old + _of_motion(found, *line, forms)) for name, line in lines.items()
+        }
+        before = _right(found, first, second, old)
+        result.append(Separation(first.text, second.text, (first.effect, second.effect), before, right))
+    return result
+
+
+def _pairs(found: Diagnosis) -> Iterator[tuple[_Side, _Side]]:
+    for cause in found.document.causes:
+        first = _side(found, cause.effect, cause.joints)
+        for rival in cause.equivalent_to:
+            second = _side(found, rival.effect, rival.joints)
+            if first is not None and second is not None:
+                yield first, second
+
+
+def _side(found: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | None:
+    robot, released = found.dataset.robot, found.released
+    place = effect, tuple(robot.joint_names.index(name) for name in joints)
+    text = f"{effect} on {', '.join(joints)}" if joints else effect
+    for cause, values in zip(found.selected.causes, found.selected.fit.values, strict=True):
+        if cause.place == place:
+            return _Side(effect, text, (), cause, values)
+    for form in (form for one in found.selected.hypotheses for form in one.effects):
+        if form.place == place:
+            return _Side(effect, text, (), form, None)
+    numbers = CATALOGUE[effect].numbers
+    groups = tuple(
+        group
+        for group in (() if released is None else groups_of(released.given))
+        if group.kind in _KINDS.get(numbers, ())
+        and (not joints or group.joint in place[1])
+        and (numbers != "load" or group.joint == robot.load_link)
+    )
+    return _Side(effect, text, groups, None, None) if groups else None
+
+
+def _right(found: Diagnosis, first: _Side, second: _Side, information: np.ndarray) -> float:
+    """Probability that the right one of a pair leads by as much as a rival may not."""
+    assert found.released is not None
+    p, size = len(found.dataset.held), len(information)
+    place = {side: len(side.form.names) if side.form is not None else 0 for side in (first, second)}
+    true, columns, prior = np.zeros(size), [], []
+    if first.form is None:
+        span = np.hstack([group.directions for group in first.groups])
+        true[:p] = span @ np.linalg.lstsq(span, found.released.moved.fit.change, rcond=1e-9)[0]
+    elif first.values is not None:
+        true[p : p + place[first]] = first.values
+    own = {(group.kind, group.joint) for group in first.groups}
+    drives = [group for group in groups_of(found.released.given) if group.kind != "link inertia"]
+    for group in {(g.kind, g.joint): g for g in (*drives, *second.groups)}.values():
+        if (group.kind, group.joint) not in own:
+            columns.append(np.vstack([group.directions, np.zeros((size - p, group.directions.shape[1]))]))
+            prior += [1.0] * group.directions.shape[1]
+    if second.form is not None:
+        free = np.eye(size)[:, p + place[first] : p + place[first] + place[second]]
+        columns.append(free)
+        prior += [_FLAT * float(column @ information @ column) + 1e-300 for column in free.T]
+    others = np.hstack(columns)
+    cross, matrix = others.T @ information @ true, others.T @ information @ others + np.diag(prior)
+    unit = 1 / np.sqrt(np.diag(matrix))
+    taken = cross @ (unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * cross))
+    gain = max(0.5 * float(true @ information @ true - taken), 1e-9)
+    return float(ndtr((gain + np.log(LAW.rare)) / np.sqrt(2 * gain)))
+
+
+def _of_logs(found: Diagnosis, forms: Sequence[Candidate]) -> np.ndarray:
+    """Information of the logs on the model's parameters and the forms'."""
+    rows = found.dataset.fit.rows
+    blocks = [
+        np.hstack([part[:, :-1], *(form.blocks.get(j, np.zeros((len(part), len(form.names)))) for form in forms)])
+        for j, part in enumerate(rows)
+    ]
+    return np.asarray(sum(block.T @ block for block in blocks) / (found.dataset.rate * _INDEPENDENT))
+
+
+def _of_motion(found: Diagnosis, line: LinearisedMotion, numbers: np.ndarray, forms: Sequence[Candidate]) -> np.ndarray:
+    """The same of a further motion."""
+    columns = [model_columns(line, found.dataset.fit.reference, numbers)]
+    for form in forms:
+        form.effect.prepare([line.signals], [(form.joints, form.settings)])
+        torque = form.effect.columns(line.signals, form.joints, form.settings)
+        columns.append(line.response.of_torque(torque))
+    rows = np.concatenate(columns, axis=2) / found.dataset.fit.sigma.min(axis=0)[:, None]
+    rate = 1 / float(np.median(np.diff(line.stretch.time)))
+    flat = rows.reshape(-1, rows.shape[2])
+    return np.asarray(flat.T @ flat / max(rate * _INDEPENDENT, 1.0))
+
+
+def _line(
+    found: Diagnosis, simulator: Simulator, time: np.ndarray, set_points: np.ndarray
+) -> tuple[LinearisedMotion, np.ndarray]:
+    """The simulated motion of the corrected numbers under set-points, linearised, and its columns of these numbers."""
+    assert found.released is not None
+    kp, damping, armature, friction, delay = servo_numbers(
+        found.dataset, found.released.groups, found.released.moved.fit.change
+    )
+    numbers = ServoNumbers(*(np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay)))
+    free, begins = FreeSimulator(simulator.arm), np.append(set_points[0], np.zeros(set_points.shape[1]))
+    command = RecordedCommand(time, set_points, True)
+    stretch = CommandedStretch(len(found.dataset.logs), time, set_points, command, begins)
+    motion = stretch.run(free, numbers)
+    assert motion is not None
+    line = stretch.linearised(free, numbers, motion, found.dataset.fit.reference)
+    return line, line.number_columns(free, numbers)
