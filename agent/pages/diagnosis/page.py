@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-from agent.core import package_version
+import numpy as np
+
+from agent.core import AgentError, package_version, plus_minus
 from agent.diagnosis import Diagnosis, Simulated, could_show, reported_parameters, simulation_part, torque_gap
-from agent.model import CATALOGUE, PAYLOAD
+from agent.model import CATALOGUE, PAYLOAD, ModelEffect
 from agent.pages.diagnosis.figures import (
     band_map,
     gap_table,
@@ -40,6 +43,7 @@ from agent.pages.phrasing import (
 from agent.pages.scene import arm_picture
 from agent.recording import Log, machines_of
 from agent.robot import figure_text
+from agent.simulators import identified_load
 
 #: Title of the section on candidates, and how many it lists.
 HYPOTHESES, _MOST_HYPOTHESES = "Hypotheses compared", 20
@@ -121,6 +125,21 @@ def _recorded(logs: Sequence[Log]) -> str:
     return first if first == last else f"{first} to {last}"
 
 
+def _load_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, str, str]]:
+    """The centre of mass of a load that was found, in the frame in which it is entered at the controller."""
+    for cause, found in zip(diagnosis.result["causes"], diagnosis.result["intervals"], strict=True):
+        if CATALOGUE[cause["effect"]].numbers != "load":
+            continue
+        effect = ModelEffect(cause["effect"], (), cause["parameters"], found)
+        try:
+            load = identified_load(replace(diagnosis.dataset.model, effects=(effect,)))
+        except AgentError:
+            continue  # no body, or no flange that is certain
+        errors = np.full(3, np.nan) if load.centre_error is None else 1e3 * load.centre_error
+        centre = ", ".join(plus_minus(x, error) for x, error in zip(1e3 * load.centre, errors, strict=True))
+        yield f"{cause['effect']}, {place(cause)}", f"centre of mass in {load.flange}", f"{centre} mm"
+
+
 def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | None) -> Section:
     result = diagnosis.result
     text = [sentence for cause in result["causes"] for sentence in _about_cause(cause, result)]
@@ -135,6 +154,7 @@ def _cause_section(diagnosis: Diagnosis, next_experiment: Mapping[str, Any] | No
         for key in reported_parameters(cause)
         if not CATALOGUE[cause["effect"]].transient
     ]
+    rows += _load_rows(diagnosis)
     pushes = list(_push_rows(diagnosis))
     if rows or pushes:
         text.append(
