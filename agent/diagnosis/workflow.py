@@ -58,6 +58,17 @@ def diagnose(
 
     `drives_off` is a log of the stationary arm on its brakes: it gives the zero of the torque channels.
 
+    Args:
+        robot: description of the arm.
+        logs: to be judged; at least one.
+        model: fitted to other logs, or of a simulator's file; None: one fitted to these logs.
+        cutoff: of the torque filter [Hz]; None: the model's.
+        without: effects to ignore.
+        progress: called with what is being done.
+        drives_off: log of the stationary arm on its brakes.
+        simulator: that the model was read from.
+        known_kp: whether the gains of its servos are right.
+
     Raises:
         InputError: no logs, an unknown effect in `without`, logs that cannot be used (see `assemble`), a log with the
             drives off that has no zero (see `channel_zero`), or such a log together with a simulator file.

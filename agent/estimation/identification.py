@@ -77,6 +77,12 @@ def estimate(
 ) -> IdentifiedModel:
     """Identify base parameters and friction from logs. `tool` is part of what is expected of the last link.
 
+    Args:
+        robot: description of the arm.
+        logs: of one machine.
+        settings: method, cut-off and friction; None: the usual ones.
+        tool: mounted at the flange.
+
     Raises:
         InputError: no logs, one given twice, nothing that moves or no torque in them, or what `observe` refuses.
     """

@@ -157,14 +157,14 @@ class Candidates:
         flat = points.reshape(-1, 4, 4)
         near = np.tile(self.posture, (len(flat), 1))
         if isinstance(self.kinematics, NumericalKinematics) and self._redundant:
-            q, found = self.kinematics.nearest(flat, near)
-            q[~found], found[~found] = self.kinematics.find(flat[~found], near[~found])
+            q, reachable = self.kinematics.nearest(flat, near)
+            q[~reachable], reachable[~reachable] = self.kinematics.find(flat[~reachable], near[~reachable])
         else:
-            q, found = self.kinematics.find_on_branch(flat, near)
-        found = found.reshape(points.shape[:2])
+            q, reachable = self.kinematics.find_on_branch(flat, near)
+        reachable = reachable.reshape(points.shape[:2])
         refused = [
             None if reached.all() else self.kinematics.refusal(one[reached.argmin()], self.posture)
-            for one, reached in zip(points, found, strict=True)
+            for one, reached in zip(points, reachable, strict=True)
         ]
         return q.reshape(*points.shape[:2], -1), refused
 
@@ -295,14 +295,14 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
         return np.vstack([regions.poses(np.tile(genes, regions.count)) for genes in places.values()])
 
     edges, middle = at(CORNERS), at(MIDDLE)[0]
-    found = kinematics.inverse(middle[None])
+    solutions = kinematics.inverse(middle[None])
     if isinstance(kinematics, NumericalKinematics) and kinematics.dof > 6:
         turned = at(TURNED)[:: regions.count]
         if (roomiest := kinematics.roomiest(np.array([middle, *edges[:: regions.count], *turned]))) is not None:
             return roomiest
-    if not found.within_limits[0].any():
+    if not solutions.within_limits[0].any():
         return kinematics.solve(middle, kinematics.middle)  # with its message if there is none
-    options = found.q[0, found.within_limits[0]]
+    options = solutions.q[0, solutions.within_limits[0]]
     around = kinematics.inverse(edges)
     near = np.array([_reached(kinematics, around.q, around.within_limits, option) for option in options])
     away = np.linalg.norm(options - kinematics.middle, axis=1)

@@ -97,16 +97,16 @@ def _turned(kinematics: Kinematics, pose: np.ndarray) -> str:
 
     axes, _, tip = kinematics.chain.axes_at_zero()
     along = tip[:3, :3].T @ axes[-1]
-    found = []
+    poses = []
     for sign, spin in product((1.0, -1.0), range(4)):
         onto, _ = Rotation.align_vectors([0.0, 0.0, 1.0], sign * along)
         turned = pose.copy()
         turned[:3, :3] = pose[:3, :3] @ (Rotation.from_euler("z", 90 * spin, degrees=True) * onto).as_matrix()
         with contextlib.suppress(KinematicsError):
-            found.append((np.linalg.norm(kinematics.solve(turned, kinematics.middle) - kinematics.middle), turned))
-    if not found:
+            poses.append((np.linalg.norm(kinematics.solve(turned, kinematics.middle) - kinematics.middle), turned))
+    if not poses:
         return ""
-    _, best = min(found, key=lambda option: option[0])
+    _, best = min(poses, key=lambda option: option[0])
     angles = ", ".join(f"{angle:.4g} deg" for angle in np.round(pose_to_pos(best)[3:], 2) + 0.0)
     return (
         f"; or turn the tool: with the orientation {angles} the arm's last axis points where the z axis of this one "

@@ -193,11 +193,11 @@ def _simulated(
     share: float,
 ) -> SetPointPlan | str:
     """The plan, or which limit the simulated arm breaks."""
-    rest = np.zeros(len(limits.start))
+    zero = np.zeros(len(limits.start))
     found = []
     for motion in motions:
         command = RecordedCommand(motion.time, motion.set_points, held=True)
-        moved = free.run(free.numbers, command, (0.0, limits.start, rest), float(motion.time[-1]))
+        moved = free.run(free.numbers, command, (0.0, limits.start, zero), float(motion.time[-1]))
         if moved is None:
             return "the simulation blows up"
         found.append(moved)

@@ -128,10 +128,10 @@ def open_result(url: str, kind: str, source: str) -> Iterator[Result]:
     if store.local is not None and store.local.is_file():
         raise InputError(f"{url}: is a file; name a folder for the result")
     with swept_folder(SCRATCH) as folder:
-        found = _find_rows(store, folder)
-        if found is not None and found.kind != kind:
-            raise InputError(f"{url}: holds a result of `fleet {found.kind}`; name another folder with -o")
-        result = Result(store, schema(kind, Store(source).absolute), folder, None if found is None else found.file)
+        rows = _find_rows(store, folder)
+        if rows is not None and rows.kind != kind:
+            raise InputError(f"{url}: holds a result of `fleet {rows.kind}`; name another folder with -o")
+        result = Result(store, schema(kind, Store(source).absolute), folder, None if rows is None else rows.file)
         try:
             yield result
         except BaseException:

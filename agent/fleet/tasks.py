@@ -152,8 +152,8 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
             folders.setdefault(file.folder, {})[file.name] = file
         if file.name in wanted or file.name.endswith((".mcap", ".urdf", ".xml")):
             listing[file.path] = (file.size, file.stamp)
-    found = (_task(store, question, folders, folder) for folder in folders)
-    tasks = sorted((task for task in found if task.logs), key=lambda task: (task.robot, task.run))
+    every = (_task(store, question, folders, folder) for folder in folders)
+    tasks = sorted((task for task in every if task.logs), key=lambda task: (task.robot, task.run))
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
     # what robot it is, a validation's model says, and a diagnosis's

@@ -50,11 +50,15 @@ def plan_program(
     statements = tuple(program.run())
     chains: list[Trajectory] = []
     for moves, chain in trajectories(recipe, statements, start):
-        if all(chain is not one for one in chains):
-            if (found := _in_cell(recipe, chain).collision) is not None:
-                line = moves[int(chain.move[found.index])].line
-                found = replace(found, time=(found.time or 0.0) + sum(one.duration for one in chains))
-                raise InputError(f"{path}:{line}: {found}: change this move, or move the arm to another start position")
+        if all(chain is not planned for planned in chains):
+            if (violation := _in_cell(recipe, chain).collision) is not None:
+                line = moves[int(chain.move[violation.index])].line
+                violation = replace(
+                    violation, time=(violation.time or 0.0) + sum(planned.duration for planned in chains)
+                )
+                raise InputError(
+                    f"{path}:{line}: {violation}: change this move, or move the arm to another start position"
+                )
             check_load(limits, chain)
         chains.append(chain)
     frames = left_open(statements, recipe.tool, recipe.dialect.frame_names)
@@ -82,7 +86,7 @@ def trajectories(
     known: dict[tuple[object, ...], list[Trajectory]] = {}
     for moves in stop_to_stop(statements):
         alike = known.setdefault(way_key(moves), [])
-        chain = next((one for one in alike if np.allclose(one.q[0], start, rtol=0, atol=_SAME)), None)
+        chain = next((candidate for candidate in alike if np.allclose(candidate.q[0], start, rtol=0, atol=_SAME)), None)
         if chain is None:
             chain = interpolator.plan(moves, start)
             alike.append(chain)

@@ -71,12 +71,12 @@ class Learner:
         Raises:
             MotionError: it cannot run one of the stretches.
         """
-        found = []
+        errors = []
         for recorded, planned in self._pairs(parameters, self._all):
             away = self._away(recorded, planned, lambda q: self._forward(q)[:, :3, 3])
             duration = float(recorded.t[-1] - recorded.t[0])
-            found.append((1e3 * away.max(), 100.0 * np.max(np.abs(_late(recorded, planned))) / duration))
-        path, time = np.max(found, axis=0)
+            errors.append((1e3 * away.max(), 100.0 * np.max(np.abs(_late(recorded, planned))) / duration))
+        path, time = np.max(errors, axis=0)
         return Errors(float(path), float(time))
 
     def _off_path(self, parameters: FlyParameters) -> float:
@@ -150,12 +150,12 @@ class Learner:
         refused: MotionError | None = None
         for start, free in families:
             try:
-                fitted, found = _fitted(start, free, cost, _TRIAL)
+                fitted, trial_cost = _fitted(start, free, cost, _TRIAL)
             except MotionError as error:
                 refused = error
                 continue
-            if best is None or found < _BETTER * least:
-                best, least, left = fitted, found, free
+            if best is None or trial_cost < _BETTER * least:
+                best, least, left = fitted, trial_cost, free
         if best is None:
             assert refused is not None
             raise refused
@@ -195,8 +195,8 @@ def _fitted(
     # Points away from a bound that the start may lie on.
     simplex = np.vstack([at, at + np.diag(np.where(at > 0.5, -width, width))])
     options = {"initial_simplex": simplex, "maxfev": _PLANS, "xatol": _ENOUGH, "fatol": _ENOUGH * first}
-    found = minimize(value, at, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(at), options=options)
-    return law(found.x), float(found.fun)
+    minimum = minimize(value, at, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(at), options=options)
+    return law(minimum.x), float(minimum.fun)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,7 +38,7 @@ def index_page(
         parameters: of each of these, the course of its parameters.
         current: names of runs that current models are of.
     """
-    alarms = [(one, line) for one in watched for line in one.lines()]
+    alarms = [(trend, line) for trend in watched for line in trend.lines()]
     machines = sorted({(run.robot, run.serial) for run in runs})
     names = ", ".join(f"{robot} {serial}".strip() for robot, serial in machines)
     too_few = f"{counted(len(runs), 'run')}; trends need at least eight runs of one program."
@@ -52,8 +52,8 @@ def index_page(
     plots = [plot for plot in errors if plot is not None]
     sections = [
         *(
-            _machine(one, course, k, runs, current)
-            for k, (one, course) in enumerate(zip(watched, parameters, strict=True))
+            _machine(trend, course, k, runs, current)
+            for k, (trend, course) in enumerate(zip(watched, parameters, strict=True))
         ),
         Section("Prediction error", (), plots) if plots else None,
         *(_runs_of(kind, runs, current) for kind in _KINDS if any(run.kind == kind for run in runs)),

@@ -35,14 +35,14 @@ def compare_runs(runs: Sequence[Path], console: Console, report: Path | None = N
         which = f"neither {runs[0]} nor {runs[1]} has its" if len(runs) == 2 else "none of these runs has its"
         raise InputError(f"{which} excitation.mcap any more: no motion to compare along")
     (motion,) = read_logs([log], models[-1].robot, console)
-    found = [
+    inputs = [
         compare_models(models[0], model, motion, runs[0].name, run.name)
         for run, model in zip(runs[1:], models[1:], strict=True)
     ]
     if report is not None:
         by_name = {run.name: model for run, model in zip(runs, models, strict=True)}
-        write_atomically(report, comparison_page(by_name, found, [predict_log(model, motion) for model in models]))
-    return found
+        write_atomically(report, comparison_page(by_name, inputs, [predict_log(model, motion) for model in models]))
+    return inputs
 
 
 def _models(runs: Sequence[Path]) -> list[IdentifiedModel]:

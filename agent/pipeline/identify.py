@@ -149,13 +149,13 @@ def read_logs(
     """
     logs: list[Log] = []
     for path in paths:
-        found, notes = read_recording(path, robot, topic)
+        recording, notes = read_recording(path, robot, topic)
         for note in notes:
             console.say(f"{path.name}: {note}")
-        for log in found:
+        for log in recording:
             for repair in log.repairs:
                 console.warn(f"{log.name}: {repair}")
-        logs += found
+        logs += recording
     return with_declared_effort(robot, logs, effort, force, console)
 
 

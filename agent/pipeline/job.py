@@ -108,7 +108,7 @@ class Job:
         run, console = self.run, self.console
         motions = {EXCITATION: plan.excitation}
         motions |= {f"validation_{k + 1:02d}.mcap": motion for k, motion in enumerate(plan.validation)}
-        done = {name: found for name in motions if (found := _recorded(run, name))}
+        done = {name: earlier for name in motions if (earlier := _recorded(run, name))}
         missing = {name: motion for name, motion in motions.items() if name not in done}
         if missing:
             with open_link(self.recipe, console, self.yes, self.logs) as link:

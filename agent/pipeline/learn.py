@@ -108,7 +108,7 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
             stretches.setdefault(key, stretch)
     if not stretches:
         raise InputError(f"{logs[0].path}: no stretch between two stops is whole; record one loop without gaps")
-    chosen = sorted(stretches.values(), key=lambda one: -float(one.t[-1] - one.t[0]))[:_MAX_MOVES]
+    chosen = sorted(stretches.values(), key=lambda rms: -float(rms.t[-1] - rms.t[0]))[:_MAX_MOVES]
     learner = Learner(description, chosen, 1.0 / logs[0].sample_rate)
     try:
         parameters = learner.learn(lambda text: console.step(f"learning from {len(chosen)} stretches: {text}"))
@@ -122,8 +122,8 @@ def learn_files(robot: str, paths: Sequence[Path], out: Path, console: Console) 
         "parameters": parameters,
         "settling_s": {word: round(float(np.median(seconds)), 4) for word, seconds in sorted(rests.items())},
         "figures": {
-            name: {"path_mm": round(one.path, 4), "time_percent": round(one.time, 4)}
-            for name, one in (("before", before), ("after", after))
+            name: {"path_mm": round(rms.path, 4), "time_percent": round(rms.time, 4)}
+            for name, rms in (("before", before), ("after", after))
         },
         "logs": [{"log": log.name, "sha256": log.sha256} for log in logs],
     }

@@ -15,7 +15,7 @@ class TorqueLimits:
     def __init__(self, robot: RobotDescription, tool: Tool | None = None, load: Tool | None = None):
         self._robot = robot
         self._dynamics = Dynamics(robot, tool)
-        change = [] if load is None else [Dynamics(robot, one).standard_parameters() for one in (load, None)]
+        change = [] if load is None else [Dynamics(robot, carried).standard_parameters() for carried in (load, None)]
         self._load = change[0] - change[1] if change else None
         self._rotors = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
         self._largest = np.array([joint.max_torque or np.inf for joint in robot.joints])

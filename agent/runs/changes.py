@@ -111,8 +111,8 @@ def sizes_of_change(
     if background.varies:
         common = background.covariate - background.covariate.mean()
         along = shapes @ common / power
-        rest, common_rest = y - raw[:, None] * shapes, common - along[:, None] * shapes
-        coefficient, std = _coefficients(rest, common_rest, background)
+        remainder, common_rest = y - raw[:, None] * shapes, common - along[:, None] * shapes
+        coefficient, std = _coefficients(remainder, common_rest, background)
     known = np.isfinite(std)
     coefficient, std = np.where(known, coefficient, 0.0), np.where(known, std, 0.0)
     sizes = raw - coefficient * along
@@ -136,8 +136,8 @@ def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> 
     variance = _widened(y - slope[:, None] * common, runs - 3)
     precision, before = seen / np.maximum(variance, 1e-30), background.std**-2
     total = precision + before
-    found = (precision * slope + before * background.coefficient) / total
-    return np.where(clear, found, background.coefficient), np.where(clear, total**-0.5, background.std)
+    posterior = (precision * slope + before * background.coefficient) / total
+    return np.where(clear, posterior, background.coefficient), np.where(clear, total**-0.5, background.std)
 
 
 def _widened(residual: np.ndarray, degrees_of_freedom: int) -> np.ndarray:

@@ -43,6 +43,11 @@ class ChannelZero:
 def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | None) -> ChannelZero:
     """The zero of every torque channel, from a log that was recorded with the drives off.
 
+    Args:
+        robot: description of the arm.
+        log: with the drives off.
+        model: whose friction says what the arm holds by itself; None: none.
+
     Raises:
         InputError: the log has no torque, is short, is of an arm that moves or whose drives hold it, or the model is a
             simulator's file.

@@ -128,7 +128,7 @@ def check_preamble(lines: list[ScriptLine], path: str) -> None:
         and permit is not None
         and permit.word == "while"
         and ast.dump(parsed(permit.text)) == ast.dump(parsed(f"read_input_integer_register(25) != {number}"))
-        and [(one.word, one.text) for one in permit.block] == [("do", "sync()")]
+        and [(entry.word, entry.text) for entry in permit.block] == [("do", "sync()")]
     )
     at += 1
     if not (waits_first and take(f"{_REGISTER}(25, 0)")):
@@ -166,11 +166,11 @@ def _check(line: ScriptLine, routines: set[str]) -> None:
         header = HEADER.match(line.text)
         if header is None:
             raise ValueError("a function needs a name and parentheses")
-        given = [one.partition("=") for one in header[2].split(",")] if header[2].strip() else []
-        for name in (header[1], *(one[0].strip() for one in given)):
+        given = [argument.partition("=") for argument in header[2].split(",")] if header[2].strip() else []
+        for name in (header[1], *(argument[0].strip() for argument in given)):
             _check_name(name)
-        for one in given:
-            _check_expression(parsed(one[2] or "0"))
+        for argument in given:
+            _check_expression(parsed(argument[2] or "0"))
     elif line.word.startswith("set "):
         if line.word[4:] in routines:
             raise ValueError(f"{line.word[4:]} is the name of a function")

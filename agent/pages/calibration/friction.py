@@ -53,9 +53,9 @@ def compared_friction(models: Mapping[str, IdentifiedModel]) -> Plot:
     for axle, joint in enumerate(robot.joint_names):
         x = robot.max_velocity[axle] * np.linspace(-1, 1, _GRID)
         series = [
-            one
+            curve
             for k, (name, model) in enumerate(models.items())
-            for one in _curve(name, model, axle, x, SERIES[k % len(SERIES)], f"{name}, ")
+            for curve in _curve(name, model, axle, x, SERIES[k % len(SERIES)], f"{name}, ")
         ]
         panels.append(Panel(joint, torque_units(robot)[axle], series, x, joint=joint))
     return _plot("friction-curves", "Friction of each axle over its speed, as each run has it.", panels, robot)

@@ -121,9 +121,9 @@ def _spectrum(predictions: Sequence[Prediction], error: Sequence[np.ndarray], or
     for prediction, values in zip(predictions, error, strict=True):
         window = np.hanning(len(values))[:, None]
         period = float(np.median(np.diff(prediction.time)))
-        found = np.abs(np.fft.rfft((values - values.mean(axis=0)) * window, axis=0)) * 2 / window.sum()
+        spectrum = np.abs(np.fft.rfft((values - values.mean(axis=0)) * window, axis=0)) * 2 / window.sum()
         place = np.fft.rfftfreq(len(values), period)
-        power += np.stack([np.interp(frequency, place, column**2) for column in found.T], axis=1)
+        power += np.stack([np.interp(frequency, place, column**2) for column in spectrum.T], axis=1)
     amplitude = joint_series(names, np.sqrt(power / len(predictions)), order)
     caption = "Error of the model over frequency. The torque filter removes what lies above its cut-off."
     panel = Panel("amplitude", unit, amplitude, from_zero=True)

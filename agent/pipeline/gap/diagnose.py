@@ -118,7 +118,7 @@ def diagnose_recording(
         paths = [recording.path for recording in recordings]
         rounds = None
         if budget is not None:
-            remaining = budget - sum(one.duration for one in recordings)
+            remaining = budget - sum(recorded.duration for recorded in recordings)
             with job.step("rounds"):
                 found_in = partial(find, loaded.robot, question=question, console=console)
                 rounds = until_sure(found_in, paths, job, remaining, question.planning_budget)
@@ -151,11 +151,11 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     question = GapQuestion(model=kept[0], cutoff=asked["cutoff"], without=tuple(asked["without"]), drives_off=kept[1])
     recorded = read_json(run / "result.json")
     # the log of a round that was cut short does not count in the result
-    further = [Path(one["program"]).stem for one in recorded.get("rounds", ()) if one.get("verdict")]
+    further = [Path(round_["program"]).stem for round_ in recorded.get("rounds", ()) if round_.get("verdict")]
     logs = [run / "excitation.mcap", *validation_logs(run), *(run / f"{name}.mcap" for name in further)]
-    found = find(robot, logs, question, console)
+    diagnosed = find(robot, logs, question, console)
     steps = after_diagnosis(recorded, source, logs, question)
-    return diagnosis_report(found.diagnosis, found.simulated, steps, recorded)
+    return diagnosis_report(diagnosed.diagnosis, diagnosed.simulated, steps, recorded)
 
 
 def _answer_run(
@@ -196,10 +196,10 @@ def _published(
         steps = after_diagnosis(result, source, logs, question, recipe)
         result = {**result, "summary": summary(result, steps)}
         yield result
-        if wanted := [one for one in (page, question.report) if one is not None]:
+        if wanted := [part for part in (page, question.report) if part is not None]:
             html = diagnosis_report(run.diagnosis, run.simulated, steps, result)
-            for one in wanted:
-                write_atomically(one, html)
+            for part in wanted:
+                write_atomically(part, html)
 
 
 def _results(

@@ -177,7 +177,9 @@ def write_set_points(plan: SetPointPlan, folder: Path) -> SetPointFiles:
         write_atomically(folder / name, _table(plan.joints, motion))
     notes = ["Clear the surroundings of the arm and bring it to its start posture. Set-points are in rad or m."]
     try:
-        frames = [one.set_points for one in excitation(plan.limits, float(_FPS), plan.share, plan.motions[0].kinds)]
+        frames = [
+            excited.set_points for excited in excitation(plan.limits, float(_FPS), plan.share, plan.motions[0].kinds)
+        ]
         ranges = np.stack(plan.limits.whole, axis=1)
         write_targets(folder / _LEROBOT, plan.joints, frames, _FPS, ranges, _TASK)
         files.append(_LEROBOT)

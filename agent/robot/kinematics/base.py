@@ -132,9 +132,9 @@ class Kinematics(ABC):
     def _options(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solutions (S, B, n) at the turns nearest to `near` that the limits allow, which are some (S, B), and which
         keep the limits (S, B)."""
-        found = self._candidates(poses, near)
-        candidates = self.turned_into_limits(self.nearest_turn(found.q, near[:, None]))
-        return candidates, found.valid, found.valid & self.within_limits(candidates)
+        branches = self._candidates(poses, near)
+        candidates = self.turned_into_limits(self.nearest_turn(branches.q, near[:, None]))
+        return candidates, branches.valid, branches.valid & self.within_limits(candidates)
 
     def refusal(self, pose: np.ndarray, near: np.ndarray) -> KinematicsError:
         """Why there is no solution for a pose (4, 4) near joints (n,) where `find` has found none."""
