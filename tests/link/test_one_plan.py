@@ -68,7 +68,7 @@ def test_a_program_to_run_is_made_by_one_function_only():
         return [path for path, called in calls.items() if any(re.search(rf"\b{name}$", one) for one in called)]
 
     assert calling("PlannedProgram") == ["link/planning.py"]
-    assert sorted(calling("plan_program")) == ["link/record.py", "pipeline/gap/next_experiment.py"]  # which has no link
+    assert sorted(calling("plan_program")) == ["experiment/next_motion.py", "link/record.py"]  # the first has no link
     assert calling("GuardedLink") == calling(r"guard\.send") == calling(r"guard\.motion") == ["link/record.py"]
 
 
