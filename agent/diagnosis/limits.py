@@ -59,12 +59,6 @@ class DecisionLimits:
 
     # In plain held-out error
     no_closure: float = known(1.1, "floor", "a gap below it has no closure", _CONTRACT)
-    adequate: float = known(
-        1.65,
-        "held-out error of the model",
-        "that the named causes may leave on moving rows of their joints, next to 5 % of the squared error there",
-        "tuned: see docs/decisions/evidence-law.md",
-    )
     usual_error: float = known(
         2.0,
         "held-out error of the model",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.diagnosis.gap.adequacy import remainder_sizes, remainders, shortfalls
+from agent.diagnosis.gap.adequacy import LARGEST_ERROR, remainder_sizes, remainders, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.rows.dataset import assemble
 from agent.model import CATALOGUE
@@ -48,7 +48,7 @@ def test_a_cause_that_leaves_the_models_own_error_explains_what_it_claims(size, 
 
 @given(st.floats(3, 30), st.floats(1.3, 3))
 def test_a_cause_that_leaves_more_than_a_healthy_arm_does_not(size, over):
-    error = over * np.hypot(1.65, 0.23 * size)
+    error = over * np.hypot(LARGEST_ERROR, 0.23 * size)
     (why,) = judged((size, 0.0), error=error)
     assert "what a healthy arm may leave on joint_1" in why or "the model's own parameters" in why
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.special import chdtri
 
 from agent.diagnosis.document import Remainder
 from agent.diagnosis.gap.regime_shares import regimes
@@ -21,6 +22,11 @@ from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.fit import Fit
 
 
+#: Times its held-out error that a model errs on healthy motion, except in a rare case. That error comes from few logs:
+#: its square, over what the model errs by, is χ² with `nu` degrees of freedom, over `nu`.
+LARGEST_ERROR = float(np.sqrt(LAW.nu / chdtri(LAW.nu, 1 - LAW.rare)))
+
+
 def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     """(n,) error that causes leave while the joint moves, over what a healthy arm leaves.
 
@@ -31,7 +37,7 @@ def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     before, after = (np.where(moving, rows, np.nan) for rows in (gap.raw, gap.left))
     has_motion = moving.any(axis=0)
     sizes = np.zeros(len(has_motion))
-    own = (LIMITS.adequate * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, moving)
+    own = (LARGEST_ERROR * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, moving)
     usual = own[has_motion] + (1 - LAW.certain) * rms(before[:, has_motion]) ** 2
     sizes[has_motion] = rms(after[:, has_motion]) / np.sqrt(usual)
     return sizes
