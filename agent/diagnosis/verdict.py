@@ -83,9 +83,9 @@ def decide_by_position(
 
 
 def _explanation(causes: Sequence[Cause], closure: float | None) -> Verdict | None:
-    """Return the verdict by the causes that have a size; None if they may not be named."""
+    """Return the verdict by the causes that have a size; None if they may not be named, or predict no better."""
     sized = tuple(filter(has_size, causes))
-    if closure is None or not sized:
+    if closure is None or closure <= 0 or not sized:
         return None
     if sized[0].equivalent_to:
         return Verdict("ambiguous", sized, closure)

@@ -1,5 +1,6 @@
 """A cause is named only if what it leaves of held-out motion looks like a healthy arm's remainder."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,11 @@ def judged(
     torque = [LONG[:, 1 + k] * np.array(sizes) for k, sizes in enumerate(parts)]
     left = error * LONG[:, 0]
     raw = left + sum(torque) + by_model * LONG[:, 4] - against * torque[0]
-    causes = [SimpleNamespace(blocks={j: None for j in range(2) if sizes[j]}) for sizes in parts]
+    return reasons(raw, left, torque, [SimpleNamespace(joints=tuple(np.flatnonzero(sizes))) for sizes in parts])
+
+
+def reasons(raw: np.ndarray, left: np.ndarray, torque: Sequence[np.ndarray], causes: Sequence) -> list[str]:
+    """Reasons against causes with these torques (S, 2), between errors without and with them."""
     fit = SimpleNamespace(
         transient=False,
         given=True,
@@ -36,8 +41,7 @@ def judged(
         out_of_fold=lambda once, number=None: left if number is None else left + torque[number],
         reference=SimpleNamespace(robot=SimpleNamespace(joint_names=JOINTS)),
     )
-    one = np.ones(2)
-    gap = HeldOutGap(raw, left, np.zeros(left.shape), one, rms(raw), rms(left), None)
+    gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
     return shortfalls(fit, gap, causes)
 
 
@@ -59,6 +63,13 @@ def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause():
     assert judged((8.0, 0.0), by_model=5.0) == [""]
 
 
+def test_a_cause_is_judged_on_its_own_joint_though_another_one_feels_it_more():
+    """An elastic gear shows on its neighbours too."""
+    torque, left = LONG[:, 1] * [3.0, 9.0], LONG[:, 0] * [3.0, 0.5]
+    assert "on joint_1" in reasons(left + torque, left, [torque], [SimpleNamespace(joints=(0,), blocks=(0, 1))])[0]
+    assert reasons(left + torque, left, [torque], [SimpleNamespace(joints=(), blocks=(0, 1))]) == [""]
+
+
 @given(st.floats(3, 20), st.floats(0.1, 0.8))
 def test_one_cause_alone_cancels_with_no_other(size, against):
     """Numbers of a simulator that move trade with it: they take back a part of what it explains."""
@@ -68,21 +79,8 @@ def test_one_cause_alone_cancels_with_no_other(size, against):
 def test_causes_that_cancel_each_other_are_no_explanation():
     rng = np.random.default_rng(1)
     large, rest = 20 * rng.normal(size=4000), 5 * LONG[:, 2, 0]
-    left = LONG[:, 0]
     torque = [np.column_stack([large, 0 * large]), np.column_stack([rest - large, 0 * large])]
-    fit = SimpleNamespace(
-        transient=False,
-        given=True,
-        chosen=(),
-        rows=JOINTS,
-        near_rest=np.zeros(left.shape, dtype=bool),
-        sigma=np.ones(left.shape),
-        out_of_fold=lambda once, number=None: left if number is None else left + torque[number],
-        reference=SimpleNamespace(robot=SimpleNamespace(joint_names=JOINTS)),
-    )
-    raw = left + sum(torque)
-    gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
-    found = shortfalls(fit, gap, [SimpleNamespace(blocks={0: None})] * 2)
+    found = reasons(LONG[:, 0] + sum(torque), LONG[:, 0], torque, [SimpleNamespace(joints=(0,))] * 2)
     assert all("cancel" in why for why in found)
 
 

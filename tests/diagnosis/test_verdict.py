@@ -252,10 +252,13 @@ def test_causes_that_close_too_little_are_named_with_the_runner_up():
     cause = Cause("torque_offset", ("joint_1",), 0.5, 0.9, {"offset": 1.0})
 
     def told(dataset, selected, gap):
-        there = tuple(EffectPlace(name, ("joint_1",)) for name, _ in selected.rivals[0])
-        return (replace(cause, equivalent_to=there),)
+        there = [tuple(EffectPlace(name, ("joint_1",)) for name, _ in rivals) for rivals in selected.rivals]
+        return tuple(replace(cause, equivalent_to=rivals) for rivals in there)
 
-    for closure, verdict in ((0.9, "explained"), (0.75, "explained"), (0.5, "ambiguous"), (0.0, "ambiguous")):
+    for closure, verdict in ((0.9, "explained"), (0.75, "explained"), (0.5, "ambiguous"), (0.01, "ambiguous")):
         judged, decided = judged_by(selected, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
         assert decided.name == verdict
         assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))
+    for closure in (0.0, -0.4):  # the model alone predicts as well
+        _, decided = judged_by(selected, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
+        assert (decided.name, decided.causes) == ("no_gap", ())

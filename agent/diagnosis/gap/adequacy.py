@@ -21,7 +21,6 @@ from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.fit import Fit
 
-
 #: Times its held-out error that a model errs on healthy motion, except in a rare case. That error comes from few logs:
 #: its square, over what the model errs by, is χ² with `nu` degrees of freedom, over `nu`.
 LARGEST_ERROR = float(np.sqrt(LAW.nu / chdtri(LAW.nu, 1 - LAW.rare)))
@@ -97,9 +96,9 @@ def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[s
 
 
 def _main_joint(fit: Fit, gap: HeldOutGap, candidate: Candidate, taken_out: np.ndarray) -> int:
-    """The joint on which a cause explains most; `taken_out` (S', n) [N·m] is the error without it."""
+    """The joint of a cause on which it explains most; `taken_out` (S', n) [N·m] is the error without it."""
     change = rms(gap.beyond(taken_out)) ** 2 - rms(gap.left) ** 2
-    joints = list(candidate.blocks)
+    joints = list(candidate.joints or candidate.blocks)
     return joints[int(np.argmax(change[joints] / fit.sigma.min(axis=0)[joints] ** 2))]
 
 

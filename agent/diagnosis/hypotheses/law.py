@@ -29,8 +29,8 @@ class EvidenceLaw:
         0.1,
         "probability",
         "of an effect outside the catalogue, and of every further effect, before the data; and of a rival, over the "
-        "leader's, below which it does not belong to the class; of a healthy joint, that it errs more than adequate causes "
-        "may leave",
+        "leader's, below which it does not belong to the class; of a healthy joint, that it errs by more than what "
+        "causes may leave",
         "chosen",
     )
     practical: float = known(

@@ -136,7 +136,7 @@ class Search:
         """Extend a hypothesis by the most promising effects, and by something else on each joint, and evaluate each."""
         evidence = self.evidence
         self._tried.add(self._key(map(evidence.pool.candidate, base.effects), base.free))
-        gains, values = self._refined(evidence.as_expected(base))
+        gains, values = self._refined(evidence.as_expected(base), bool(base.scales.max() > 1))
         for forms in self._promising(base, gains, values, count).values():
             for k in forms:
                 self._keep(evidence.evaluate([*base.effects, k], base.free, base.scales))
@@ -144,10 +144,13 @@ class Search:
             for size in LAW.sizes[:3]:
                 self._keep(evidence.evaluate(base.effects, {**base.free, joint: size}, base.scales))
 
-    def _refined(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Gains over a hypothesis, with forms that follow what it leaves, and the leaders' parameters refined."""
+    def _refined(self, base: Evaluated, leaves_more: bool) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Gains over a hypothesis, with the leaders' parameters refined.
+
+        Forms follow what it leaves if that is more than the model's own error.
+        """
         evidence = self.evidence
-        if base.effects:
+        if base.effects and leaves_more:
             left = self.fit.with_chosen([evidence.pool.candidate(k) for k in base.effects])
             driven = [(e, joints) for e, joints in self._places if e.residual_driven]
             self._add(left, [(e, joints, s) for e, joints in driven for s in e.settings(left, joints)])

@@ -11,8 +11,8 @@ from agent.diagnosis.rows.fit import Fit
 
 
 def near(place: HypothesisKey, other: HypothesisKey) -> bool:
-    """Whether two hypotheses are on the same joints, or one of them is on the whole arm."""
-    return place[1] == other[1] or not place[1] or not other[1]
+    """Whether two hypotheses have a joint in common, or one of them is on the whole arm."""
+    return not place[1] or not other[1] or not set(place[1]).isdisjoint(other[1])
 
 
 @dataclass(frozen=True, eq=False)
