@@ -140,7 +140,8 @@ def supported(
             return selected, gap
         if not selected.rivals[0] and (gap.closure or 0.0) < LIMITS.explained:
             selected = selected.with_runner_up()
-        causes, lacking = causes_of(dataset, selected, gap), shortfalls(selected.fit, gap, selected.causes)
+        causes = causes_of(dataset, selected, gap)
+        lacking = shortfalls(selected.fit, gap, selected.causes, selected.irreplaceable)
         explanation = _explanation(causes, gap.closure)
         kept = () if explanation is None else explanation.causes
         if len(kept) == len(causes) and not any(lacking):

@@ -9,6 +9,7 @@ from hypothesis import given, strategies as st
 
 from agent.diagnosis.gap.adequacy import LARGEST_ERROR, remainder_sizes, remainders, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
+from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.rows.dataset import assemble
 from agent.model import CATALOGUE
 from fake_controller.plant import Plant
@@ -29,7 +30,9 @@ def judged(
     return reasons(raw, left, torque, [SimpleNamespace(joints=tuple(np.flatnonzero(sizes))) for sizes in parts])
 
 
-def reasons(raw: np.ndarray, left: np.ndarray, torque: Sequence[np.ndarray], causes: Sequence) -> list[str]:
+def reasons(
+    raw: np.ndarray, left: np.ndarray, torque: Sequence[np.ndarray], causes: Sequence, irreplaceable: bool = False
+) -> list[str]:
     """Reasons against causes with these torques (S, 2), between errors without and with them."""
     fit = SimpleNamespace(
         transient=False,
@@ -42,7 +45,7 @@ def reasons(raw: np.ndarray, left: np.ndarray, torque: Sequence[np.ndarray], cau
         reference=SimpleNamespace(robot=SimpleNamespace(joint_names=JOINTS)),
     )
     gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
-    return shortfalls(fit, gap, causes)
+    return shortfalls(fit, gap, causes, lambda number: irreplaceable)
 
 
 @given(st.floats(2, 50), st.floats(0.1, 1.3))
@@ -61,6 +64,12 @@ def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause():
     (why,) = judged((5.0, 0.0), by_model=8.0)
     assert "the model's own parameters" in why
     assert judged((8.0, 0.0), by_model=5.0) == [""]
+
+
+def test_a_remainder_does_not_count_for_a_cause_that_nothing_smooth_could_replace():
+    torque, left, causes = [LONG[:, 1] * [9.0, 0.0]], LONG[:, 0] * [4.0, 1.0], [SimpleNamespace(joints=(0,))]
+    assert "on joint_1" in reasons(left + torque[0], left, torque, causes)[0]
+    assert reasons(left + torque[0], left, torque, causes, irreplaceable=True) == [""]
 
 
 def test_a_cause_is_judged_on_its_own_joint_though_another_one_feels_it_more():
@@ -108,13 +117,30 @@ def test_on_an_arm_the_right_cause_passes_and_a_relative_of_it_does_not(case):
         fits = [case.fit.with_chosen([form]) for form in forms]
         best = min(fits, key=lambda fit: fit.error())
         gap = held_out_gap(case, best)
-        found[name] = shortfalls(best, gap, best.chosen)[0], list(remainders(case, gap))
+        found[name] = shortfalls(best, gap, best.chosen, lambda number: False)[0], list(remainders(case, gap))
     assert found["load_dependent_friction"] == ("", [])
     why, (left,) = found["friction_change"]
     assert why
     assert (left.joint, left.size > 1) == ("joint_3", True)
     assert max(left.follows.values()) <= 1
     assert remainder_sizes(case.fit, held_out_gap(case, case.fit))[2] > left.size
+
+
+def irreplaceable(dataset, effect: str, joint: int) -> bool:
+    """Of the best form of an effect."""
+    effect = CATALOGUE[effect]
+    forms = dataset.fit.candidates([(effect, (joint,), one) for one in effect.settings(dataset.fit, (joint,))])
+    evidence = Evidence(dataset.fit, forms)
+    best = max((evidence.evaluate([k]) for k in range(len(forms))), key=lambda one: one.log_evidence)
+    return evidence.irreplaceable(best.effects, 0)
+
+
+def test_a_ripple_is_needed_next_to_anything_smooth_and_the_wrong_law_of_friction_is_not(case):
+    ripple = {"effect": "torque_ripple", "joints": ["joint_2"], "parameters": {"amplitude": 4.0, "order": 4.0}}
+    plant = Plant(case.robot, seed=3, effects=[ripple])
+    logs = [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))]
+    assert irreplaceable(assemble(case.robot, case.model, logs, None), "torque_ripple", 1)
+    assert not irreplaceable(case, "friction_change", 2)
 
 
 def test_a_right_cause_is_kept_where_the_motion_held_out_goes_further_than_the_fit(case):
@@ -128,4 +154,4 @@ def test_a_right_cause_is_kept_where_the_motion_held_out_goes_further_than_the_f
     fit = dataset.fit.with_chosen([form])
     gap = held_out_gap(dataset, fit)
     assert gap.after[1] * gap.unit[1] > 4 * fit.sigma.min(axis=0)[1]
-    assert shortfalls(fit, gap, [form]) == [""]
+    assert shortfalls(fit, gap, [form], lambda number: False) == [""]

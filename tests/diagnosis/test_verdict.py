@@ -179,7 +179,7 @@ def judged_by(selected, gap_of, told, failing=()):
         assert seen == (dataset, seen[1], gaps[-1])
         return told(*seen)
 
-    def lacking(fit, gap, chosen):
+    def lacking(fit, gap, chosen, irreplaceable):
         assert gap is gaps[-1]
         return ["it leaves too much" if set(failing) & set(cause.place[1]) else "" for cause in chosen]
 

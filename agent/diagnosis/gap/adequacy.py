@@ -6,7 +6,7 @@ errors can, whatever the effect (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.special import chdtri
@@ -68,11 +68,14 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
     return found
 
 
-def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[str]:
+def shortfalls(
+    fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate], irreplaceable: Callable[[int], bool]
+) -> list[str]:
     """Return per cause why it does not explain what it claims; empty where it does.
 
     `gap` is that of `fit`, whose chosen effects are the `causes`. A model that was fitted to the same logs trades with
-    them freely, so only their remainder counts then.
+    them freely, so only their remainder counts then. It does not count for a cause, by number, that is `irreplaceable`:
+    the formula of a play or of an elastic gear misses more than 5 %, but nothing smooth could take its place.
     """
     if not causes or gap.closure is None:
         return [""] * len(causes)
@@ -83,11 +86,11 @@ def shortfalls(fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate]) -> list[s
         return ["the model's own parameters close more of the gap than it does"] * len(causes)
     sizes = remainder_sizes(fit, gap)
     found = []
-    for candidate, rows in zip(causes, taken_out, strict=True):
+    for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
         joint = _main_joint(fit, gap, candidate, rows)
         if fit.given and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
             found.append("it and another cause cancel each other")
-        elif sizes[joint] > 1:
+        elif sizes[joint] > 1 and not irreplaceable(number):
             name = fit.reference.robot.joint_names[joint]
             found.append(f"it leaves {sizes[joint]:.1f} times what a healthy arm may leave on {name}")
         else:

@@ -274,6 +274,18 @@ class Evidence:
         spread = self.pool.variance(number, own, j) + self.pool.variance(other, np.diag(known.deviation**2), j)
         return torque, float(np.sqrt(spread))
 
+    def irreplaceable(self, effects: Sequence[int], which: int) -> bool:
+        """Whether one effect of a hypothesis, on one joint, is needed next to something else there.
+
+        That is any smooth function of the joint's state and time, as large as it likes. The log Bayes factor of the
+        effect next to it has to be that of a name.
+        """
+        (joint,), others = self.pool.candidate(effects[which]).joints, [*effects[:which], *effects[which + 1 :]]
+        with_it, without = (
+            max(self.evaluate(some, {joint: size}).log_evidence for size in self.sizes) for some in (effects, others)
+        )
+        return with_it - without >= self.needed(True)
+
     def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
         friction = self._own_friction[j]

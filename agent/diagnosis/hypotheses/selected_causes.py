@@ -75,6 +75,11 @@ class SelectedCauses:
         """Largest squared error of a joint without effects, over its noise variance."""
         return next(h for h in self.hypotheses if not h.effects and not h.free).scale
 
+    def irreplaceable(self, number: int) -> bool:
+        """Whether a cause of one joint, by number, is needed next to anything smooth there."""
+        pool = self.evidence.pool
+        return len(self.causes[number].joints) == 1 and self.evidence.irreplaceable(pool.numbers(self.causes), number)
+
     def only(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
         """The same finding with some of the causes, by number, and whether there is a gap without them."""
         if leaves_gap is not None:
