@@ -75,7 +75,7 @@ def shortfalls(
 
     `gap` is that of `fit`, whose chosen effects are the `causes`. A model that was fitted to the same logs trades with
     them freely, so only their remainder counts then. It does not count for a cause, by number, that is `irreplaceable`:
-    the formula of a play or of an elastic gear misses more than 5 %, but nothing smooth could take its place.
+    the formula of a play or of an elastic gear misses more than 5 %, but nothing smooth could replace it.
     """
     if not causes or gap.closure is None:
         return [""] * len(causes)
