@@ -362,7 +362,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
         elif group.kind == "friction":
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
-            equal = (*like_load, *((EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()))
+            equal = (EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()
             own_part = _on_joint(found, group, selected.causes, gap)
             causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == GAIN and found.given.servos is not None:

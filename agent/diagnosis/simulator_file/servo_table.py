@@ -44,7 +44,7 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     for folds in (wide.folds, wide.single):
         without = [servo_numbers(dataset, drives, wide.fitted(fold)[0]) for fold in folds]
         spread = np.maximum(spread, _jackknife(np.stack(without)))
-    spread[-1] = np.maximum(spread[-1], 0.5 * servos.step)
+    spread[-1] += 0.5 * servos.step
     more = {"delay_s": np.full(len(names), servos.later), "armature": servos.step * values[1]}
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, half in zip(SERVO_NUMBERS, values, spread, strict=True):
