@@ -126,6 +126,7 @@ def reception(rate: float, seconds: float) -> str:
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu
     age = 1e3 * np.concatenate(ages)
     lost = sum(gap.count for gap in driver.gaps)
+    more = _private(_second_process(os.getpid()))
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     driver.close()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)  # of the second process, from its start on
@@ -134,8 +135,19 @@ def reception(rate: float, seconds: float) -> str:
     return (
         f"{rate:g} Hz, {wall:.0f} s: {last + 1 - lost} of {last + 1} samples; age p50 {np.median(age):.1f} ms, p99 "
         f"{np.quantile(age, 0.99):.1f} ms, largest {age.max():.0f} ms; CPU {100 * cpu / wall:.1f} % of a core, "
-        f"{memory:.0f} MiB; second process {100 * spent / wall:.1f} %; load {os.getloadavg()[0]:.1f}"
+        f"{memory:.0f} MiB; second process {100 * spent / wall:.1f} %, {more:.0f} MiB "
+        f"of its own; load {os.getloadavg()[0]:.1f}"
     )
+
+
+def _second_process(agent: int) -> int:
+    return int(Path(f"/proc/{agent}/task/{agent}/children").read_text().split()[-1])
+
+
+def _private(process: int) -> float:
+    """Memory [MiB] that a process shares with nobody."""
+    rows = [row.split() for row in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()]
+    return sum(int(row[1]) for row in rows if row[0].startswith("Private")) / 1024
 
 
 def agent(way: float, seconds: float) -> None:
@@ -188,7 +200,7 @@ def killed(observer: Observer, both: bool) -> str:
     assert child.stdout is not None
     child.stdout.readline()
     time.sleep(3.0)
-    brake = int(Path(f"/proc/{child.pid}/task/{child.pid}/children").read_text().split()[0])
+    brake = _second_process(child.pid)
     time.sleep(4.0)
     seen, moment = len(observer.commands), time.time()
     if both:
