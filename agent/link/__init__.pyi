@@ -1,5 +1,6 @@
 from .alignment import Aligner as Aligner, moving_segments as moving_segments
 from .controller import answering as answering
+from .effort import check_effort as check_effort
 from .mounted_mass import (
     PROGRAM_SHA256 as PROGRAM_SHA256,
     SCHEMA as SCHEMA,

@@ -37,7 +37,12 @@ def check_effort(driver: Driver, robot: RobotDescription, tool: Tool | None, add
     nothing = np.zeros((1, robot.dof))
     gravity = Dynamics(robot, tool).inverse_dynamics(q[None], nothing, nothing)[0]
     heaviest = float(np.abs(gravity).max())
-    if heaviest < SMALLEST or not np.isfinite(torque).all():
+    if not np.isfinite(torque).all():
+        raise ControllerError(
+            f"{address}: the recipe says that effort is {driver.effort}, and the robot reports none, so nothing can be "
+            "identified; say effort: none to record the motion alone"
+        )
+    if heaviest < SMALLEST:
         return (
             f"{address}: what the robot reports as effort cannot be recognised in this pose, as gravity hardly loads a "
             "joint; move the arm to a stretched pose and run the command again to have it checked"
@@ -47,13 +52,18 @@ def check_effort(driver: Driver, robot: RobotDescription, tool: Tool | None, add
     if abs(share) < ABSENT:
         raise ControllerError(
             f"{address}: the recipe says that effort is {driver.effort}, and {said}: gravity has been taken out of it, "
-            "as UR drivers do from 2026 on (use_currents_as_efforts). Such effort identifies nothing; change that in "
-            "the robot's driver, or say effort: none to record the motion alone"
+            "as UR drivers do from 2026 on (use_currents_as_efforts), or it is a motor current. Without gravity it "
+            "identifies nothing: change that in the robot's driver, say effort: current, or effort: none to record the "
+            "motion alone"
         )
     if not LOW <= share <= HIGH:
         raise ControllerError(
             f"{address}: the recipe says that effort is {driver.effort}, and {said}: it is in another unit, or the "
-            "recipe's tool or the description's masses are not those of this arm. Is it a motor current? Then say "
-            "effort: current"
+            "recipe's tool or the description's masses are not those of this arm. Is it a "
+            + (
+                "torque? Then say effort: torque"
+                if driver.effort == "current"
+                else "motor current? Then say effort: current"
+            )
         )
     return ""

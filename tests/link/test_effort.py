@@ -7,6 +7,7 @@ from agent.core.errors import ControllerError
 from agent.link.effort import check_effort
 from agent.robot import Dynamics, load_robot
 from fake_controller.build import build_ros2_cell
+from fake_controller.ros2.cell import EFFORTS
 
 ROBOT = load_robot("ur5e")
 STRETCHED = np.array([0.0, -0.3, 0.2, 0.1, 0.0, 0.0])
@@ -48,7 +49,7 @@ def test_what_is_no_gravity_torque_is_refused(share, why):
         check_effort(Resting(share * gravity()), ROBOT, None, "here")
 
 
-def test_nothing_is_said_of_a_robot_without_effort_or_of_other_drivers():
+def test_nothing_is_said_of_a_recipe_without_effort_or_of_other_drivers():
     assert check_effort(Resting(np.full(6, np.nan), effort="none"), ROBOT, None, "here") == ""
     assert check_effort(object(), ROBOT, None, "here") == ""
 
@@ -58,16 +59,14 @@ def test_a_pose_without_load_tells_nothing():
     assert "cannot be recognised in this pose" in check_effort(Resting(np.zeros(6), position=upright), ROBOT, None, "x")
 
 
-@pytest.mark.parametrize(("effort", "fits"), [("torque", True), ("compensated", False), ("current", False)])
-def test_the_emulated_arm_is_recognised(effort, fits):
+@pytest.mark.parametrize("effort", EFFORTS)
+def test_the_emulated_arm_is_recognised(effort):
     now = [1000.0]
-    cell = build_ros2_cell("ur5e", 3, effort=effort)
-    cell._clock = lambda: now[0]
-    cell._begin = now[0]
+    cell = build_ros2_cell("ur5e", 3, effort=effort, clock=lambda: now[0])
     now[0] += 0.05
     cycles = cell.run()
     driver = Resting(cycles.effort[-1], position=cycles.position[-1])
-    if fits:
+    if effort == "torque":
         assert check_effort(driver, ROBOT, None, "here") == ""
     else:
         with pytest.raises(ControllerError, match="effort"):

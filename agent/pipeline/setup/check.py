@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import AgentError, Console, ControllerError, InputError, counted
 from agent.excitation import Candidates, LoopScore, check_sub_region
-from agent.link import answering
+from agent.link import answering, check_effort
 from agent.motion import tool_frame
 from agent.pipeline.plan import loop_problem
 from agent.pipeline.setup.findings import CheckedItem, Findings
@@ -92,6 +92,7 @@ def _controller(recipe: Recipe) -> str:
         if not identity.watch_only:
             check_period(identity, recipe.record.rate, address)
         check_throughput(driver, identity, address)
+        effort = check_effort(driver, recipe.robot, recipe.tool, address)
         status = driver.status()
         frames = driver.frames() if isinstance(driver, ReportsFrames) else {}
         if isinstance(driver, AcceptsViaPoints):
@@ -107,6 +108,7 @@ def _controller(recipe: Recipe) -> str:
         *([identity.watch_only] if identity.watch_only else []),
         *([f"somebody has to stand by: {identity.unguarded}"] if identity.unguarded else []),
         *([frames_text(frames)] if frames else []),
+        *([effort] if effort else []),
     ]
     reached = (
         f"{identity.robot}, serial {identity.serial}, {identity.controller} {identity.version} at "
