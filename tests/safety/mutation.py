@@ -83,7 +83,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "planned > WAY": "of times that are numbers",
     },
     "authorisation.py": {
-        "left <= _SOON": "dates",
+        "remaining <= _SOON": "dates",
         "document.expires <= latest": "dates",
         "(now or datetime.now(UTC)).date() <= document.expires": "dates",
     },
@@ -109,7 +109,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "planned_program.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
     "reference_path.py": {
         "passed[k] > gap": "of times that are numbers",
-        "np.diff(found) > 1": "indices",
+        "np.diff(near) > 1": "indices",
         "places.start < places.stop": "indices",
         "off <= min(away) + within": "of times that are numbers",
         "period > 0": "of a plan that was checked",
@@ -126,8 +126,8 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "self._now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
         "self._clock() - self._looked_at < WATCH_INTERVAL": "of this machine's clock",
         "int(block.sequence[-1]) <= self._last": "counts",
-        "left <= EARLY": "of a plan that was checked",
-        "left <= EARLY + lost": "the same, and counts",
+        "remaining <= EARLY": "of a plan that was checked",
+        "remaining <= EARLY + lost": "the same, and counts",
         "gap.first > last": "counts",
         "now - self.temperatures[-1][0] <= interval": "of times that the driver has checked",
     },

@@ -17,7 +17,7 @@ from drivers.errors import DriverError
 from drivers.protocol import Identity, Status
 from tests.conftest import ROOT
 from tests.safety.following import HOME
-from tests.safety.mutation import ALWAYS_NUMBERS
+from tests.safety.mutation import ALWAYS_NUMBERS, MODULES
 
 ROBOT = load_robot("comau_ns16")
 NO_NUMBERS = [np.nan, np.inf, -np.inf, 5e-324, -5e-324, 1e308]
@@ -56,7 +56,7 @@ def ordering(module: Path) -> tuple[set[str], set[str]]:
     return {ast.unparse(node) for node in found}, {ast.unparse(node) for node in found if id(node) not in denied}
 
 
-@pytest.mark.parametrize("module", sorted((ROOT / "agent" / "safety").glob("*.py")), ids=lambda path: path.name)
+@pytest.mark.parametrize("module", [ROOT / module for module in MODULES], ids=lambda path: path.name)
 def test_every_comparison_reports_the_allowed_range(module):
     everything, bare = ordering(module)
     numbers, stops = set(ALWAYS_NUMBERS.get(module.name, {})), set(FALSE_STOPS.get(module.name, {}))
