@@ -47,7 +47,7 @@ TOGETHER = {
     "lost_client off the plan": ("lost_client", "off_path"),
 }
 POSSIBLE = [*(name for name in FAULTS if name not in IMPOSSIBLE), *TOGETHER, "late samples"]
-QUICK = ("off_path", "frozen", "disobedience")
+QUICK = ("frozen",)
 
 
 class Watched(Faults):
