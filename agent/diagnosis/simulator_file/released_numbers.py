@@ -295,7 +295,7 @@ def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
 
 
 def _load(found: ReleasedSimulator) -> dict[str, float]:
-    """Mass [kg] and first moments [kg·m] that the last link gained, where it gained more than its prior deviation."""
+    """What the last link gained, as parameters of a load, where its mass gained more than its prior deviation."""
     last = found.given.robot.load_link
     own = [group for group in found.groups if group.kind == "link inertia" and group.joint == last]
     if not own:
@@ -304,8 +304,8 @@ def _load(found: ReleasedSimulator) -> dict[str, float]:
     start = next(k for k, column in enumerate(released.T) if np.array_equal(column, own[0].directions[:, 0]))
     prior_std = found.given.fit.reference.prior_std[ParameterLayout.of(found.given.robot).link(last)]
     gained = np.linalg.lstsq(released, found.moved.fit.change, rcond=1e-9)[0][start : start + 10] * prior_std
-    names = ("mass", "first_moment_x", "first_moment_y", "first_moment_z")
-    return dict(zip(names, map(float, gained), strict=False)) if gained[0] > prior_std[0] else {}
+    names = ("mass", *(f"moment_{k}" for k in "xyz"), *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
+    return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}
 
 
 def doubtful_gains(dataset: Dataset) -> tuple[int, ...]:
