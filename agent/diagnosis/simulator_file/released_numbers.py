@@ -31,7 +31,6 @@ _EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
 _MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
 _INTERVAL = (5, 95)  # per cent
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
-_NORMAL = 1.96  # standard deviations of a 95 % interval
 _GAIN_KNOWN = 0.1  # of a servo's gain, standard deviation from where on positions do not tell it
 #: The remaining gap, as the last step.
 REMAINDER = "remainder"
@@ -315,16 +314,11 @@ def doubtful_gains(dataset: Dataset) -> tuple[int, ...]:
     """
     if (servos := dataset.servos) is None or servos.kp_known:
         return ()
-    return tuple(np.flatnonzero(_gain_deviations(dataset) > _GAIN_KNOWN * servos.kp).tolist())
-
-
-def _gain_deviations(dataset: Dataset) -> np.ndarray:
-    """(n,) standard deviation of each servo's gain, all numbers free."""
-    assert dataset.servos is not None
     free = released_fit(dataset, groups_of(dataset))
     covariance, _ = free.solve(np.ones(free.cells, dtype=bool))
-    first = len(dataset.model.values)
-    return np.asarray(np.sqrt(np.diag(covariance)[first : first + len(dataset.servos.kp)]))
+    first, n = len(dataset.model.values), len(servos.kp)
+    deviation = np.sqrt(np.diag(covariance)[first : first + n])
+    return tuple(np.flatnonzero(deviation > _GAIN_KNOWN * servos.kp).tolist())
 
 
 def _on_joint(found: ReleasedSimulator, group: Group, beside: Sequence[Candidate], gap: HeldOutGap) -> float | None:
@@ -374,8 +368,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
         elif group.kind == GAIN and found.given.servos is not None:
             kp, more = found.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
             parameters = {"scale_error": float(kp / (kp + more) - 1)}
-            told = group.joint not in doubtful and abs(more) > _NORMAL * _gain_deviations(found.given)[group.joint]
-            equal = (*like_load, *(() if told else (EffectPlace(called["friction"], joint),)))
+            equal = (*like_load, *((EffectPlace(called["friction"], joint),) if group.joint in doubtful else ()))
             own_part = _on_joint(found, group, selected.causes, gap)
             causes.append(Cause(called[GAIN], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == DELAY:
