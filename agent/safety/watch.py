@@ -155,10 +155,11 @@ class MotionWatch:
             try:
                 for block in self._judged():
                     yield block
-                    recently = self._now - self._looked < WATCH_INTERVAL
+                    now = float(block.time[-1])  # what is judged may be further by now
+                    recently = now - self._looked < WATCH_INTERVAL
                     if not (recently and self._clock() - self._looked_at < WATCH_INTERVAL):
                         self._look_at_state()
-                        self._looked, self._looked_at = self._now, self._clock()
+                        self._looked, self._looked_at = now, self._clock()
             except DriverError as error:
                 dropped = error
             self._sampled = True

@@ -186,12 +186,13 @@ class Asked(TcpDriver):
     raises = False
 
     def start(self, name, checksum):
+        self.looks, self.looked, self.released = 0, threading.Event(), threading.Event()
         super().start(name, checksum)
-        self.looks, self.released = 0, threading.Event()
 
     def status(self):
         if hasattr(self, "looks"):
             self.looks += 1
+            self.looked.set()
             if self.looks == 1 and self.raises:
                 raise ValueError("as told")
             assert self.raises or self.released.wait(patience(5.0))
@@ -199,6 +200,7 @@ class Asked(TcpDriver):
 
     def samples(self):
         yield from super().samples()
+        assert self.looked.wait(patience(5.0)), "all of them may have come before anybody looked"
         if not self.raises:
             assert self.looks == 1, "the others had to wait for its answer"
         self.released.set()
