@@ -10,7 +10,6 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
-from agent.diagnosis.document import Cause, EffectPlace
 from agent.diagnosis.gap.adequacy import remainders
 from agent.diagnosis.gap.drives_off import as_evidence, channel_zero, said_by_zero
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
@@ -22,8 +21,8 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
-from agent.diagnosis.simulator_file.released_numbers import GAIN, ReleasedSimulator, causes_of_numbers
-from agent.diagnosis.simulator_file.servo_table import servo_table
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_numbers
+from agent.diagnosis.simulator_file.servo_table import differing
 from agent.diagnosis.verdict import (
     Verdict,
     causes_of,
@@ -120,26 +119,11 @@ def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
         sized = [of_all for of_all, of_rest in zip(whole, causes, strict=True) if has_size(of_rest)]
         doubted = {remainder.joint for remainder in remainders(found.dataset, found.gap)}
         told = [one for one in numbers if has_size(one) and doubted.isdisjoint(one.joints)]
-        told = [*_with_class(found, told)]
-        return decide_by_position(found.selected, sized, told, found.as_given.closure)
+        return decide_by_position(found.selected, sized, differing(found, told), found.as_given.closure)
     of_path = [name for name in effects_of_path() if name in found.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     verdict = decide_verdict(found.selected, causes, gap.closure, path, numbers, by_numbers)
     return with_numbers(verdict, found, numbers) if found.of_file else verdict
-
-
-def _with_class(found: Explanation, numbers: Sequence[Cause]) -> Iterator[Cause]:
-    """The causes; where the interval of a gain has the file's own, friction and rotor of that joint may be it."""
-    servos, names = found.dataset.servos, found.dataset.robot.joint_names
-    known = servo_table(found)["servo"]["kp"]
-    called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
-    for one in numbers:
-        joint = names.index(one.joints[0]) if one.joints else -1
-        interval = known[joint] if CATALOGUE[one.effect].numbers == GAIN else None
-        if servos is not None and interval is not None and interval[1] <= servos.kp[joint] <= interval[2]:
-            like = EffectPlace(called["friction"], one.joints)
-            one = replace(one, equivalent_to=tuple(dict.fromkeys((*one.equivalent_to, like))))
-        yield one
 
 
 def check_effects(names: Sequence[str]) -> None:

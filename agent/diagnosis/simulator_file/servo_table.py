@@ -8,18 +8,23 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from agent.diagnosis.document import Cause
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import (
+    GAIN,
     Group,
     doubtful_gains,
     drive_groups,
     released_fit,
 )
+from agent.model import CATALOGUE
 
 #: Kinds of numbers, in the order of a result.
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
 _NORMAL = 1.96
+#: Those of a cause, by what the cause changes in a file.
+_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction")}
 
 
 def servo_table(found: Explanation) -> dict[str, Any]:
@@ -57,6 +62,20 @@ def servo_table(found: Explanation) -> dict[str, Any]:
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
     return {"servo": table, "scale_from": scale}
+
+
+def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
+    """The causes but gains and frictions of a joint all of whose intervals hold the file's own numbers."""
+    table, names = servo_table(found)["servo"], found.dataset.robot.joint_names
+    assert found.dataset.servos is not None
+    own = dict(zip(SERVO_NUMBERS, found.dataset.servos.file, strict=True))
+
+    def differs(cause: Cause) -> bool:
+        kinds = _NUMBERS_OF.get(CATALOGUE[cause.effect].numbers, ())
+        known = [(table[kind][joint], own[kind][joint]) for kind in kinds for joint in map(names.index, cause.joints)]
+        return not known or any(value is None or not value[1] <= file <= value[2] for value, file in known)
+
+    return [cause for cause in causes if differs(cause)]
 
 
 def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
