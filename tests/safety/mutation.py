@@ -123,7 +123,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "self._braking.rested < NO_END": "of times that are numbers",
     },
     "watch.py": {
-        "self._now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
+        "now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
         "self._clock() - self._looked_at < WATCH_INTERVAL": "of this machine's clock",
         "int(block.sequence[-1]) <= self._last": "counts",
         "remaining <= EARLY": "of a plan that was checked",
