@@ -31,7 +31,9 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     """`servo` and `scale_from` of a result: value, low and high of each number and joint; None where a class is known.
 
     The interval is the wider of the posterior's with all drives free, and of what leaving motions out, and halves of
-    them, gives (delete-a-group jackknife). A joint whose gain positions do not tell has ratios only, and no numbers.
+    them, gives (delete-a-group jackknife), about the value and that with all drives free: a number that was left as
+    the file has it is no better known than one that was not. A joint whose gain positions do not tell has ratios only,
+    and no numbers.
 
     A simulation in steps of h does not tell more: a command arrives within ± h / 2, and implicit damping d, as in the
     file's simulator, counts as h d of inertia. An arm, and a simulator with explicit damping, may have as much more.
@@ -50,14 +52,16 @@ def servo_table(found: Explanation) -> dict[str, Any]:
         without = [servo_numbers(dataset, drives, wide.fitted(fold)[0]) for fold in folds]
         spread = np.maximum(spread, _jackknife(np.stack(without)))
     spread[-1] += 0.5 * servos.step
+    free = servo_numbers(dataset, drives, wide.fitted()[0])
+    low, high = np.minimum(values, free) - spread, np.maximum(values, free) + spread
     more = {"delay_s": np.full(len(names), servos.later), "armature": servos.step * values[1]}
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
-    for kind, row, half in zip(SERVO_NUMBERS, values, spread, strict=True):
+    for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
         above = more.get(kind, np.zeros(len(names)))
         table[kind] = tuple(
             None
             if kind != "delay_s" and k in doubtful
-            else (float(row[k]), float(max(row[k] - half[k], 0.0)), float(row[k] + half[k] + above[k]))
+            else (float(row[k]), float(max(least[k], 0.0)), float(most[k] + above[k]))
             for k in range(len(names))
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
