@@ -15,9 +15,7 @@ from itertools import chain
 from agent.motion.urscript.statements import HEADER, ScriptLine, UrScriptError, parsed, rows_of
 
 #: Functions that move nothing and say nothing of the moves.
-STILL = re.compile(
-    r"popup|rtde_set_watchdog|set_gravity|set_\w*digital_out|stop[jl]|sync|textmsg|write_output_\w+_register"
-)
+STILL = re.compile(r"popup|rtde_set_watchdog|set_\w*digital_out|stop[jl]|sync|textmsg|write_output_\w+_register")
 #: Functions that compute or ask, whose value may be unknown here.
 _ASKS = re.compile(
     r"(get|is|read_input|read_output|str|to)_\w+|a?(cos|sin|tan)|atan2|sqrt|d2r|r2d|pose_(trans|inv)|abs|floor|ceil"
@@ -28,7 +26,7 @@ _WORDS = re.compile(
     "|xor|pass|enter_critical|exit_critical"
 )
 _TOKEN = re.compile(
-    r"""\s+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])|[A-Za-z_]\w*(?!["'])|"[^"\\]*"|[=!<>]=|[-+*/%^<>=(),:\[\]]""",
+    r"""\s+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])|[A-Za-z_]\w*(?!["'])|"[^"\\]*"|[=!<>]=|[-+*/%<>=(),:\[\]]""",
     re.ASCII,
 )
 _FOLDER = re.compile(r'\$ \d+ "[^"]*"(?: "[^"]*")*')  # PolyScope's tree of the program
@@ -87,7 +85,10 @@ def check_statements(lines: list[ScriptLine], path: str) -> None:
     Raises:
         UrScriptError: names path and line.
     """
-    routines = {header[1] for line in _all(lines) if line.word == "def" and (header := HEADER.match(line.text))}
+    defined = [line for line in _all(lines) if line.word == "def"]
+    routines = {header[1] for line in defined if (header := HEADER.match(line.text))}
+    if len(routines) < len(defined):
+        raise UrScriptError(f"{path}:{defined[-1].number}: each function needs a name of its own")
     for line in _all(lines):
         try:
             _check(line, routines)

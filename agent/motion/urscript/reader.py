@@ -6,8 +6,8 @@ import ast
 import math
 import operator
 import re
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections import ChainMap, Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _MOVING = re.compile(r"\b(servo[jcl]|speed[jl]|optimove[jl]|force_mode|freedrive_mode|teach_mode|conveyor_\w+)\(")
 _TARGETED = re.compile(r"\bmove[jlpc]\(")
 #: Statements that a program may take.
-_LONGEST = 10_000_000
+_LONGEST = 200_000
 _PARAMETERS = {
     "movej": ("q", "a", "v", "t", "r"),
     "movel": ("pose", "a", "v", "t", "r"),
@@ -56,10 +56,8 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
     ast.Mod: operator.mod,
-    ast.BitXor: operator.pow,
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
-    ast.Not: operator.not_,
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
     ast.Lt: operator.lt,
@@ -129,10 +127,10 @@ def job_text(text: str, path: str, robot: RobotDescription | None) -> tuple[list
 
 
 def _read(text: str, path: str, robot: RobotDescription | None, lenient: bool) -> UrScriptProgram:
-    rows = [row for row in rows_of(text) if not row[1].startswith("$")]  # PolyScope's tree of the program
-    lines, rest = nested(rows, path)
-    if rest:
-        raise UrScriptError(f"{path}:{rest[0][0]}: `{rest[0][1]}` ends no block")
+    remaining = deque(row for row in rows_of(text) if not row[1].startswith("$"))  # PolyScope's tree of the program
+    lines = nested(remaining, path)
+    if remaining:
+        raise UrScriptError(f"{path}:{remaining[0][0]}: `{remaining[0][1]}` ends no block")
     top = [line for line in lines if line.word == "def"]
     if not lenient and (len(top) != 1 or len(lines) != 1):
         raise UrScriptError(f"{path}: one `def NAME():` is expected, and nothing before or after it")
@@ -149,8 +147,8 @@ class _ScriptRun:
     def __init__(self, program: UrScriptProgram, once: bool) -> None:
         self._program = program
         self._once = once or program.lenient
-        self._values: dict[str, Any] = {"True": True, "False": False}
-        self._defined: dict[str, ScriptLine] = {}
+        self._values: ChainMap[str, Any] = ChainMap({"True": True, "False": False})
+        self._defined: dict[str, tuple[ScriptLine, ChainMap[str, Any]]] = {}
         self._settings = UrSettings(base=NO_FRAME, uframe=NO_FRAME)
         self._left = _LONGEST
 
@@ -177,7 +175,7 @@ class _ScriptRun:
             header = HEADER.match(line.text)
             if header is None:
                 raise ValueError("a function needs a name and parentheses")
-            self._defined[header[1]] = line
+            self._defined[header[1]] = line, self._values
         elif line.word in ("thread", "sec"):
             raise ValueError("what runs beside the program is not understood")
         elif line.word == "while":
@@ -189,11 +187,16 @@ class _ScriptRun:
                 if not self._program.lenient:
                     raise
                 chosen = line.block
-            yield from self.block(chosen, depth)
+            yield from self.block(chosen, depth + 1)
         elif line.word.startswith("set "):
-            self._values[line.word[4:]] = self._value(line.text)
+            self._assign(line.word[4:], line.scope, self._value(line.text))
         else:
             yield from self._call(line, depth)
+
+    def _assign(self, name: str, scope: str, value: Any) -> None:
+        """To the variable of that name that can be seen; to a new one of the function where there is none."""
+        seen = next((values for values in self._values.maps if name in values), self._values.maps[0])
+        {"local": self._values.maps[0], "global": self._values.maps[-1]}.get(scope, seen)[name] = value
 
     def _loop(self, line: ScriptLine, depth: int) -> Iterator[Statement]:
         lenient = self._program.lenient
@@ -201,12 +204,12 @@ class _ScriptRun:
             raise ValueError("a loop without an end is not understood")
         try:
             while self._value(line.text):
-                yield from self.block(line.block, depth)
+                yield from self.block(line.block, depth + 1)
                 if self._once:
                     return
         except _Outside:  # it waits for the world outside
             if lenient:
-                yield from self.block(line.block, depth)
+                yield from self.block(line.block, depth + 1)
             elif not waits(line):
                 raise
 
@@ -220,35 +223,38 @@ class _ScriptRun:
         given = [self._evaluated(argument) for argument in tree.args]
         named = {str(argument.arg): self._evaluated(argument.value) for argument in tree.keywords}
         if name in self._defined:
-            header = HEADER.match(self._defined[name].text)
+            routine, around = self._defined[name]
+            header = HEADER.match(routine.text)
             assert header is not None
-            parameters = [argument.partition("=")[0].strip() for argument in header[2].split(",")]
-            self._values |= dict(zip(parameters, given, strict=False)) | named
-            yield from self.block(self._defined[name].block, depth + 1)
+            parameters = [argument.partition("=")[0].strip() for argument in header[2].split(",") if argument.strip()]
+            caller, self._values = self._values, around.new_child(_arguments(parameters, given, named))
+            yield from self.block(routine.block, depth + 1)
+            self._values = caller
         elif name == "sleep":
-            yield Delay(float(given[0]))
+            yield Delay(_number(given[0], least=0.0))
         elif name == "set_tcp":
             self._settings = self._settings.changed(tool=frame_of(given[0]))
         elif name in ("set_payload", "set_target_payload"):
             centre = given[1] if len(given) > 1 else matrix_of(self._settings.tool)[:3, 3]
-            self._settings = self._settings.changed(load=(float(given[0]), *(float(value) for value in centre)))
+            self._settings = self._settings.changed(load=(_number(given[0], least=0.0), *map(_number, centre)))
         elif name in ("movej", "movel", "movep", "movec"):
             yield self._move(name, given, named, line.number)
         else:
             raise ValueError(f"the function {name} is not understood")
 
     def _move(self, name: str, given: list[Any], named: dict[str, Any], line: int) -> Move:
-        said = dict(zip(_PARAMETERS[name], given, strict=False)) | named
-        via, goal = said.get("pose_via"), next(said[key] for key in ("q", "pose", "pose_to") if key in said)
+        said = _arguments(_PARAMETERS[name], given, named)
+        via, goal = said.get("pose_via"), said[_PARAMETERS[name][1 if name == "movec" else 0]]
         if said.get("t") and not self._program.lenient:
             raise ValueError("a move in a given time is not understood; give a= and v=")
-        radius = float(said.get("r", 0.0))
+        radius = _number(said.get("r", 0.0), least=0.0)
         settings = self._settings.changed(fly_distance=radius)
-        if name == "movej":
-            speed, acceleration = float(said.get("v", JOINT_SPEED)), float(said.get("a", JOINT_ACCELERATION))
+        joint = name == "movej"
+        speed = _number(said.get("v", JOINT_SPEED if joint else LINEAR_SPEED), above=0.0)
+        acceleration = _number(said.get("a", JOINT_ACCELERATION if joint else LINEAR_ACCELERATION), above=0.0)
+        if joint:
             settings = settings.changed(joint_speed=speed, joint_acceleration=acceleration)
         else:
-            speed, acceleration = float(said.get("v", LINEAR_SPEED)), float(said.get("a", LINEAR_ACCELERATION))
             settings = settings.changed(linear_speed=speed, linear_acceleration=acceleration)
         kind = {"movej": MoveType.JOINT, "movec": MoveType.CIRCULAR}.get(name, MoveType.LINEAR)
         through = None if via is None else self._target(via)
@@ -258,7 +264,7 @@ class _ScriptRun:
         if isinstance(value, np.ndarray):
             return CartesianTarget(value)
         robot = self._program.robot
-        position = np.array(value, dtype=float)
+        position = np.array([_number(part) for part in value], dtype=float)
         if robot is not None and position.shape != (robot.dof,):
             raise ValueError(f"{robot.name} has {robot.dof} joints")
         return JointTarget(position)
@@ -268,28 +274,97 @@ class _ScriptRun:
 
     def _evaluated(self, node: ast.expr) -> Any:
         match node:
-            case ast.Constant():
-                return node.value
+            case ast.Constant(value=value):
+                return value if isinstance(value, str | bool) else _number(value)
             case ast.Name() if node.id in self._values:
                 return self._values[node.id]
             case ast.List() | ast.Tuple():
                 return [self._evaluated(element) for element in node.elts]
             case ast.Subscript(value=ast.Name(id="p")):
-                fields = np.array(self._evaluated(node.slice), dtype=float)
-                if fields.shape != (6,):
-                    raise ValueError("a pose has six numbers")
-                return rotation.to_pose(fields[:3], rotation.from_rotation_vector(fields[3:]))
+                return _pose(self._evaluated(node.slice))
             case ast.Subscript():
-                return self._evaluated(node.value)[int(self._evaluated(node.slice))]
+                return _element(self._evaluated(node.value), self._evaluated(node.slice))
             case ast.UnaryOp() | ast.BinOp() | ast.Compare(ops=[_]):
                 of = node.ops[0] if isinstance(node, ast.Compare) else node.op
                 parts = [part for part in ast.iter_child_nodes(node) if isinstance(part, ast.expr)]
-                return _OPERATORS[type(of)](*(self._evaluated(part) for part in parts))
+                return _computed(type(of), [self._evaluated(part) for part in parts])
             case ast.BoolOp():
                 values = [bool(self._evaluated(element)) for element in node.values]
                 return all(values) if isinstance(node.op, ast.And) else any(values)
             case ast.Call(func=ast.Name(id=name)) if name in _FUNCTIONS:
-                return _FUNCTIONS[name](*(self._evaluated(element) for element in node.args))
+                return self._asked(name, node)
             case ast.Name() | ast.Call():
                 raise _Outside
         raise ValueError("is no expression that is understood")
+
+    def _asked(self, name: str, call: ast.Call) -> Any:
+        if not self._program.lenient and (call.keywords or (name == "get_inverse_kin" and len(call.args) > 1)):
+            raise ValueError("which of its postures the arm takes is not known here; give joint values")
+        return _FUNCTIONS[name](*(self._evaluated(element) for element in call.args))
+
+
+def _number(value: Any, least: float = -math.inf, above: float = -math.inf) -> float:
+    """A number that a controller can hold: of 32 bits if it is whole (user manual, "Variable value types").
+
+    Raises:
+        ValueError: another value, or one out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{value if isinstance(value, bool) else type(value).__name__} is no number")
+    if not math.isfinite(value) or (isinstance(value, int) and not -(2**31) <= value < 2**31):
+        raise ValueError("a number is too large")
+    if value < least or value <= above:
+        raise ValueError(f"{value:g} is too small a number here")
+    return value
+
+
+def _computed(kind: type, values: list[Any]) -> Any:
+    """The value of an operator: of numbers, but for comparison and `not`.
+
+    Raises:
+        ValueError: not numbers, or a result on which this reader and a controller may differ.
+    """
+    if kind is ast.Not:
+        return not values[0]
+    if kind in (ast.Eq, ast.NotEq):
+        if any(isinstance(value, np.ndarray) for value in values):
+            raise ValueError("poses are not compared")
+        return _OPERATORS[kind](*values)
+    numbers = [_number(value) for value in values]
+    whole = all(isinstance(value, int) for value in numbers)
+    if (kind is ast.Div and whole and numbers[0] % numbers[1]) or (kind is ast.Mod and min(numbers) < 0):
+        raise ValueError("controllers may round a quotient of whole numbers in another way; write a decimal point")
+    result = _OPERATORS[kind](*numbers)
+    return result if isinstance(result, bool) else _number(result)
+
+
+def _pose(values: Any) -> np.ndarray:
+    """The matrix (4, 4) of position [m] and rotation vector [rad].
+
+    Raises:
+        ValueError: not six numbers.
+    """
+    fields = np.array([_number(value) for value in values], dtype=float)
+    if fields.shape != (6,):
+        raise ValueError("a pose has six numbers")
+    return rotation.to_pose(fields[:3], rotation.from_rotation_vector(fields[3:]))
+
+
+def _element(values: Any, index: Any) -> Any:
+    """Raises:
+    ValueError: not an element of a list.
+    """
+    if not (isinstance(values, list) and type(index) is int and index >= 0):
+        raise ValueError("an element is that of a list, by a number from 0")
+    return values[index]
+
+
+def _arguments(names: Sequence[str], given: list[Any], named: dict[str, Any]) -> dict[str, Any]:
+    """Values by the names of parameters.
+
+    Raises:
+        ValueError: more values than parameters, or a name that there is not.
+    """
+    if len(given) > len(names) or not set(named) <= set(names[len(given) :]):
+        raise ValueError(f"takes {', '.join(names) or 'no argument'}")
+    return dict(zip(names, given, strict=False)) | named

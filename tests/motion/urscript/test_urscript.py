@@ -158,6 +158,60 @@ def test_unknown_statements_are_refused_with_their_line(robot, body, message):
         SCRIPT.read(f"def p():\n{body}\nend\n", "t.script", robot)
 
 
+def script(*lines):
+    return SCRIPT.write("job", [Delay(0.0)]).replace("  sleep(0)\n", "".join(f"  {line}\n" for line in lines))
+
+
+def turned_to(name):
+    return f"movej([{name}, 0, 0, 0, 0, 0], a=1, v=1)"
+
+
+#: Read as one motion here, and maybe run as another by the controller; or without an end, or never done with.
+DOUBTFUL = {
+    "expression of many parts": ["x = " + "+".join(["1"] * 900)],
+    "many signs": ["x = " + "-" * 900 + "1"],
+    "list of a huge length": ["x = [0] * 1000000000"],
+    "power": ["x = 9^(9^(9^9))"],
+    "numbers beyond 32 bits": ["x = 65536", "x = x * x"],
+    "blocks and calls within each other": ["def f():", *["if True:"] * 30, "f()", *["end"] * 31, "f()"],
+    "infinite target": [turned_to("1e999")],
+    "target that is no number": ["x = 1e999 - 1e999", turned_to("x")],
+    "negative acceleration": ["movej([0, 0, 0, 0, 0, 0], a=-1, v=1)"],
+    "text as a speed": ['movej([0, 0, 0, 0, 0, 0], a=1, v="nan")'],
+    "negative radius": ["movej([0, 0, 0, 0, 0, 0], a=1, v=1, r=-0.1)"],
+    "target that is spread": ["movej(**[0, 0, 0, 0, 0, 0])"],
+    "no target": ["movej()"],
+    "unknown parameter": ["movej([0, 0, 0, 0, 0, 0], a=1, v=1, V=5)"],
+    "element of a pose": ["x = p[0.3, 0.2, 0.3, 0, 3.1, 0]", "movel(x[0], a=1, v=0.1)"],
+    "element from the end": ["x = [1, 2]", turned_to("x[-1]")],
+    "sum of poses": ["x = p[0.3, 0.2, 0.3, 0, 3.1, 0]", "movel(x + x, a=1, v=0.1)"],
+    "repeated list": ["movej([0.1, -1.5, 1.5] * 2, a=1, v=0.1)"],
+    "posture of a pose": ["movej(get_inverse_kin(p[0.3, 0.2, 0.3, 0, 3.1, 0], [3, 0, 0, 0, 0, 0]), a=1, v=0.1)"],
+    "function defined twice": ["def f():", turned_to(1), "end", "def f():", turned_to(2), "end", "f()"],
+    "quotient of whole numbers": [turned_to("3 / 2")],
+    "else of a loop": ["i = 0", "while i < 0:", "sync()", "else:", turned_to(1), "end"],
+    "two elses": ["if False:", "sync()", "else:", "sync()", "else:", turned_to(1), "end"],
+    "rest before its time": ["sleep(-1)"],
+    "gravity": ["set_gravity([0, 0, -9.82])"],
+}
+
+
+@pytest.mark.parametrize("name", DOUBTFUL)
+def test_what_a_controller_may_run_in_another_way_is_refused(name):
+    with pytest.raises(InputError, match=r"t\.script:\d+"):
+        list(SCRIPT.read(script(*DOUBTFUL[name]), "t.script").run())
+
+
+def test_variables_of_a_function_are_its_own():
+    text = script(
+        *("x = 1", "y = 5", "def go(x):", "local y = 0", turned_to("x + y"), "end"),
+        *("def two():", "z = 4", "go(3)", turned_to("z"), "x = 6", "end"),
+        *("go(2)", turned_to("x"), "two()", turned_to("x"), turned_to("y")),
+    )
+    targets = [move.target.position[0] for move in SCRIPT.read(text).run()]
+    assert targets == [2, 1, 3, 4, 6, 5]
+
+
 PERSONS = """def task():
   # made by PolyScope
   set_tcp(p[0,0,0.1,0,0,0])
