@@ -83,17 +83,19 @@ def units_of_columns(names: Sequence[str], values: np.ndarray, robot_type: str =
     if degree:
         found = f"every joint that moves has a step of {360 / degree[0]:.4f}, one of {degree[0]:.0f} ticks a turn"
         return [_hand(name, step) or Unit("deg", math.pi / 180, found) for name, step in columns]
-    if radian or (most <= _TURN and not known):
-        found = "no joint goes beyond a turn, and the values have no step"
+    fine = all(step < 200 / _PERCENT_TICKS * (1 - _SAME_STEP) for step in known)  # no range is more than a turn
+    steps_are = "their steps are finer than those of percent" if known else "the values have no step"
+    if radian or (most <= _TURN and fine):
+        found = f"no joint goes beyond a turn, and {steps_are}"
         if radian:
             found = f"every joint that moves has a step of {2 * math.pi / radian[0]:.6f}"
         return [_open_hand(name, values[:, k]) or Unit("rad", 1.0, found) for k, name in enumerate(names)]
-    if known and most <= _PERCENT:
+    if not fine and most <= _PERCENT:
         return [_percent(name, step) for name, step in columns]
     maker = next((maker for maker in _IN_DEGREES if maker in robot_type.lower()), None)
-    if not known and (maker or most > _PERCENT):
-        found = f"the values go to {most:.0f}, further than percent or rad, and have no step"
-        found = found if maker is None else f"that is the unit of {maker} arms, and the values have no step"
+    if fine and (maker or most > _PERCENT):
+        found = f"the values go to {most:.0f}, further than percent or rad, and {steps_are}"
+        found = found if maker is None else f"that is the unit of {maker} arms, and {steps_are}"
         return [_hand(name, step) or Unit("deg", math.pi / 180, found) for name, step in columns]
     listed = ", ".join(f"{names[k]} {step:.4g}" for k in arm if (step := steps[k]) is not None) or "none"
     raise InputError(
@@ -147,8 +149,9 @@ def _percent(name: str, step: float | None) -> Unit:
 
 
 def _hand(name: str, step: float | None) -> Unit | None:
-    """Next to joints in degrees, a gripper is in percent."""
-    return _percent(name, step) if is_gripper(name) else None
+    """Next to joints in degrees, a gripper is in percent, unless its step is finer than a turn of it has."""
+    fine = step is not None and step < 100 / _PERCENT_TICKS * (1 - _SAME_STEP)
+    return _percent(name, step) if is_gripper(name) and not fine else None
 
 
 def _open_hand(name: str, values: np.ndarray) -> Unit | None:

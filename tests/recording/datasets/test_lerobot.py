@@ -55,6 +55,17 @@ def test_reads_every_episode_by_the_names_of_its_joints(tmp_path: Path, version,
     assert any(f"are in {unit}" in note for note in notes)
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("deg", 180 / np.pi), ("rad", 1.0)])
+def test_an_encoder_that_is_finer_than_percent_of_a_turn_is_no_percent(tmp_path: Path, unit, factor):
+    step = 2 * np.pi / 2**16
+    true = [(np.round(q / step) * step, np.round(r / step) * step) for q, r in drawn(6)]
+    written = [(factor * q, factor * r) for q, r in true]
+    folder = write_lerobot(tmp_path / "set", written, robot_type="openarm_follower" if unit == "deg" else "other")
+    (log,), _ = read_recording(folder, arm(SO101))
+    np.testing.assert_allclose(log.position, true[0][0], atol=2e-5)
+    assert log.metadata["units"].startswith(unit)
+
+
 def test_what_a_recorder_does_is_kept_in_a_log(tmp_path: Path):
     folder = write_lerobot(tmp_path / "set", [(in_degrees(q), in_degrees(r)) for q, r in drawn(4)])
     (log,), _ = read_recording(folder, arm(SO101))
