@@ -5,7 +5,11 @@ from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
 from .effects.payload import ball as ball
-from .effects.simulator_numbers import SimulatorNumbers as SimulatorNumbers
+from .effects.simulator_numbers import (
+    Bristles as Bristles,
+    PassiveForces as PassiveForces,
+    SimulatorNumbers as SimulatorNumbers,
+)
 from .friction_terms import (
     FORMS as FORMS,
     ODD as ODD,

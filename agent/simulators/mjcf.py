@@ -286,6 +286,18 @@ class _Scene:
 
     def check(self, arm: SimulatedArm) -> None:
         """Raise InputError unless the arm as read gives MuJoCo's own torque: else some force was not read."""
+        model, at_joint = self.model, int(self.mujoco.mjtTrn.mjTRN_JOINT)
+        by_itself = int(getattr(self.mujoco.mjtBias, "mjBIAS_DCMOTOR", -1))
+        for a, kind in enumerate(model.actuator_biastype):
+            if (
+                kind == by_itself
+                and model.actuator_trntype[a] == at_joint
+                and model.actuator_trnid[a, 0] in self.chosen
+            ):
+                raise InputError(
+                    f"{arm.path}: friction or cogging of the dcmotor {model.actuator(a).name!r} is not read here: take "
+                    "it out, or give the file from which agent export made this one"
+                )
         q, qd, qdd = np.random.default_rng(0).uniform(-1, 1, (3, 10, len(self.chosen)))
         torque = smooth_torque(arm, q, qd, qdd)
         expected = self._inverse_dynamics(q, qd, qdd)

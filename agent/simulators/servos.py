@@ -91,10 +91,18 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
     name = model.joint(joint).name
     at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     affine, fixed = int(mujoco.mjtBias.mjBIAS_AFFINE), int(mujoco.mjtGain.mjGAIN_FIXED)
-    on_joint = [a for a in range(model.nu) if model.actuator_trntype[a] in at_joint and _of(model, a) == joint]
+    on_joint = [
+        a
+        for a in range(len(model.actuator_trntype))
+        if model.actuator_trntype[a] in at_joint and _of(model, a) == joint
+    ]
     own = [a for a in on_joint if model.actuator_biastype[a] == affine and model.actuator_biasprm[a, 1] < 0]
     if not own:
-        tendons = (a for a in range(model.nu) if model.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_TENDON))
+        tendons = (
+            a
+            for a in range(len(model.actuator_trntype))
+            if model.actuator_trntype[a] == int(mujoco.mjtTrn.mjTRN_TENDON)
+        )
         pulled = next((a for a in tendons if joint in pulled_joints(mujoco, model, _of(model, a))), None)
         if pulled is not None:
             return f"{name} is driven through a tendon ({model.actuator(pulled).name or pulled!r})"

@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.experiments import THREE_LOADS, SeparatingMotion
-from agent.model.effects.simulator_numbers import SimulatorNumbers
+from agent.model.effects.simulator_numbers import PassiveForces, SimulatorNumbers
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -202,6 +202,15 @@ class Effect(ABC):
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         """What its reported parameters are in the numbers of a simulator's file of an arm with `dof` joints; None where
         numbers do not say it."""
+        return None
+
+    def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces | None:
+        """What its reported parameters are as passive forces at its joint, exactly or as nearly as these can say it.
+
+        Args:
+            values: the parameters, with their settings.
+            fastest: the joint's highest speed [rad/s or m/s].
+        """
         return None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, harmonic_names, harmonics
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
+from agent.model.effects.simulator_numbers import PassiveForces, SimulatorNumbers, linear_spring, periodic
 
 _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
 
@@ -59,3 +59,8 @@ class GravitySpring(Effect):
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         return linear_spring(values)
+
+    def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces:
+        if "harmonics" in values:
+            return PassiveForces(periodic=periodic(values))
+        return PassiveForces(spring=(values["constant"], values["stiffness"], 0.0, 0.0))

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
 from agent.model.effects.experiments import SLOW_REVERSALS
+from agent.model.effects.simulator_numbers import Bristles, PassiveForces
 from agent.model.friction_terms import Reversal
 
 
@@ -37,3 +38,6 @@ class Presliding(Effect):
         (axle,) = joints
         state = signals.axles.direction(axle, Reversal("travel", settings["travel"]))
         return on_axle(signals.reference, axle, state - signals.direction(axle))
+
+    def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces:
+        return PassiveForces(bristles=Bristles(values["level"], travel=values["travel"]))

@@ -18,6 +18,7 @@ from agent.model.effects.effect import (
     on_axle,
     travelled,
 )
+from agent.model.effects.simulator_numbers import PassiveForces, periodic
 
 _HIGHEST = 13.0  # periods a motor turn
 _LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant
@@ -83,3 +84,6 @@ class TorqueRipple(Effect):
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         phase = settings["order"] * signals.axles.position[:, joints[0]]
         return on_axle(signals.reference, joints[0], *harmonics(phase, settings))
+
+    def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces:
+        return PassiveForces(periodic=periodic(values, values["order"]))

@@ -9,6 +9,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed
 from agent.model.effects.friction_level import FrictionLevel
+from agent.model.effects.simulator_numbers import Bristles, PassiveForces
 
 
 class ViscousNonlinearity(FrictionLevel):
@@ -40,8 +41,19 @@ class ViscousNonlinearity(FrictionLevel):
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         speed = signals.axles.speed[:, axle]
-        if "power" in settings:
-            bent = np.sign(speed) * np.abs(speed) ** settings["power"]
-        else:
-            bent = settings["speed"] * np.arcsinh(speed / settings["speed"])
-        return bent, speed
+        return _bent(speed, settings), speed
+
+    def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces:
+        """The cubic next to it up to the highest speed."""
+        speed = np.linspace(0.0, fastest, 100)
+        torque = values["bend"] * _bent(speed, values) + values["viscous_change"] * speed
+        a, b, c = np.linalg.lstsq(speed[:, None] ** [1, 2, 3], torque, rcond=None)[0]
+        level, travel = values.get("reversal_level", 0.0), values.get("reversal_travel", 0.0)
+        return PassiveForces(damping=(a, b, c), bristles=Bristles(level, travel=travel) if travel else None)
+
+
+def _bent(speed: np.ndarray, settings: Numbers) -> np.ndarray:
+    """(S,) f at speeds (S,) [rad/s]."""
+    if "power" in settings:
+        return np.sign(speed) * np.abs(speed) ** settings["power"]
+    return settings["speed"] * np.arcsinh(speed / settings["speed"])

@@ -11,10 +11,18 @@ from typing import Any
 import numpy as np
 
 from agent.core import LARGEST_JSON, InputError, read_json, read_text
-from agent.model import IdentifiedModel, full_parameters, possible_model
+from agent.model import (
+    CATALOGUE,
+    IdentifiedModel,
+    ModelEffect,
+    PassiveForces,
+    effect_torque,
+    full_parameters,
+    possible_model,
+)
 from agent.robot import Dynamics, ParameterLayout, rotor_mass_matrix
 from agent.simulators.arm import SimulatedArm
-from agent.simulators.effect_numbers import in_numbers, left_out, torque_text
+from agent.simulators.effect_numbers import in_numbers, left_out, torque_text, usual_motion
 from agent.simulators.export import assumed, body_texts, friction_lines
 from agent.simulators.loader import is_simulator, load_arm, load_simulator
 from agent.simulators.servos import PositionServos
@@ -51,11 +59,17 @@ class JointNumbers:
 
 @dataclass(frozen=True)
 class LeftEffect:
-    """An effect that no number of the joints says, and what stays of the gap without it."""
+    """An effect that no number of the joints says, and what stays of the gap without it.
+
+    `forces`: the same as passive forces at its one joint, as far as these can say it, and `misses`: the share of its
+    torque that they do not have, from 0 to 1.
+    """
 
     effect: str
     joints: tuple[str, ...]
     leaves: str
+    forces: PassiveForces | None = None
+    misses: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -108,16 +122,17 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
     simulator = load_simulator(path, None, names, {name: name for name in names})
     servos = simulator.arm.servos if isinstance(simulator.arm.servos, PositionServos) else None
     changes, ranges = path.with_name(f"{path.stem}.changes.json"), path.with_name(f"{path.stem}.ranges.yaml")
-    left = tuple(_of_changes(changes)) if changes.is_file() else ()
+    left = tuple(_of_changes(changes, simulator.model)) if changes.is_file() else ()
     told = tuple(_as_exported(_of_ranges(ranges), simulator.arm)) if ranges.is_file() else ()
     return _of_model(simulator.model, path, servos, left, told, simulator.arm.step)
 
 
-def _of_changes(path: Path) -> Iterator[LeftEffect]:
+def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
     try:
         for entry in read_json(path)["effects"]:
             reason = entry.get("reason") or "its part of the gap stays"
-            yield LeftEffect(entry["effect"], tuple(entry["joints"]), f"{reason}, which stays")
+            effect = ModelEffect(entry["effect"], tuple(entry["joints"]), entry["parameters"])
+            yield _left(model, effect, f"{reason}, which stays")
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             f"{path}: is not what agent diagnose writes next to a corrected file; delete or mend it"
@@ -192,7 +207,7 @@ def _of_model(
         )
         for k, joint in enumerate(robot.joints)
     )
-    own = [LeftEffect(entry.effect, entry.joints, f"{torque_text(model, entry)} stays out") for entry in model.effects]
+    own = [_left(model, entry, f"{torque_text(model, entry)} stays out") for entry in model.effects]
     more = [f"not in the files: {text}" for text in left_out(model, lines) if text.startswith("what friction")]
     if np.any(robot.coupling - np.diag(np.diag(robot.coupling))):
         more.append("axles are coupled: numbers of a joint are those of its own axle; the MJCF has tendons for them")
@@ -200,6 +215,25 @@ def _of_model(
     urdf, mjcf = body_texts(numbers, standard, lines)
     notes = (*filter(None, [numbers.note, far]), *more)
     return ArmNumbers(robot.name, path.name, joints, urdf, mjcf, tuple(ranges), (*own, *left), notes, step)
+
+
+def _left(model: IdentifiedModel, entry: ModelEffect, leaves: str) -> LeftEffect:
+    """An effect, with the passive forces that say it where it is one of a single uncoupled joint's motion."""
+    robot, effect = model.robot, CATALOGUE.get(entry.effect)
+    if effect is None or not effect.moves_arm or len(entry.joints) != 1 or entry.joints[0] not in robot.joint_names:
+        return LeftEffect(entry.effect, entry.joints, leaves)
+    k = robot.joint_names.index(entry.joints[0])
+    forces = effect.passive_forces(entry.parameters, robot.joints[k].max_velocity)
+    if forces is None or np.count_nonzero(robot.coupling[k]) + np.count_nonzero(robot.coupling[:, k]) > 2:
+        return LeftEffect(entry.effect, entry.joints, leaves)
+    time, q, qd, qdd = usual_motion(robot)
+    torque = effect_torque(model, entry, {"time": time, "q": q, "qd": qd, "qdd": qdd})
+    missing = torque.copy()
+    missing[:, k] -= forces.torque(q[:, k], qd[:, k], float(friction_lines(model)[k, 1]))
+    turning = np.abs(qd[:, k]) < 1e-9 * np.abs(qd[:, k]).max()  # round-off says in which direction
+    torque, missing = torque[~turning], missing[~turning]
+    misses = float(np.sum(missing**2) / np.sum(torque**2)) ** 0.5
+    return LeftEffect(entry.effect, entry.joints, leaves, *((forces, misses) if misses < 1 else ()))
 
 
 def _effort(servos: PositionServos | None, k: int, known: float | None) -> float | None:

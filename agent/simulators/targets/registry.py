@@ -20,19 +20,21 @@ from agent.simulators.targets.arm_numbers import ArmNumbers
 class Target(NamedTuple):
     """A simulator: its name for people, its files, and the usual step of its physics [s].
 
-    `computes_servo`: whether its servo is an explicit torque, so that the step limits its gains.
+    `computes_servo`: whether its servo is an explicit torque, so that the step limits its gains. `has_passive`: whether
+    its files have effects that passive forces say.
     """
 
     name: str
     files: Callable[[ArmNumbers, float], Mapping[str, str]]
     step: float
     computes_servo: bool
+    has_passive: bool = False
 
 
 #: Steps: MuJoCo's default timestep; sim.dt that Isaac Lab's arm tasks have (1/120 s); that of mjlab's tasks; 1/1000 s
 #: of newton:timeStepsPerSecond; Genesis' SimOptions.dt. A file's own timestep replaces them.
 TARGETS = {
-    "mjcf": Target("MuJoCo", mjcf.files, 0.002, computes_servo=False),
+    "mjcf": Target("MuJoCo", mjcf.files, 0.002, computes_servo=False, has_passive=True),
     "isaaclab": Target("Isaac Lab", isaaclab.files, 1 / 120, computes_servo=True),
     "mjlab": Target("mjlab", mjlab.files, 0.005, computes_servo=False),
     "usd": Target("USD (PhysX, Newton, MuJoCo)", usd.files, 1 / 120, computes_servo=False),
@@ -40,6 +42,7 @@ TARGETS = {
     "genesis": Target("Genesis", genesis.files, 0.01, computes_servo=False),
 }
 _LEFT_OUT = "left_out.json"
+_NEARLY = "in the files, but not exactly"
 
 
 def target_of(name: str) -> Target:
@@ -67,7 +70,7 @@ def write_target(numbers: ArmNumbers, name: str, folder: Path, say: Callable[[st
         AgentError: the folder cannot be written.
     """
     target = target_of(name)
-    missing, step = list(_left_out(numbers, name.lower())), numbers.step or target.step
+    missing, step = list(_left_out(numbers, name.lower(), target.has_passive)), numbers.step or target.step
     texts = dict(target.files(numbers, step))
     texts[_LEFT_OUT] = json.dumps({"schema": "left-out/1", "simulator": target.name, "effects": missing}, indent=1)
     make_folder(folder, "the export")
@@ -76,19 +79,23 @@ def write_target(numbers: ArmNumbers, name: str, folder: Path, say: Callable[[st
     )
     for one in missing:
         could = "cannot say it" if one["how"] == "no" else f"could say it {one['how']}, which is not written"
-        say(f"{one['effect']}{one['of']} is not in the files ({target.name} {could}): {one['leaves']}")
+        place = _NEARLY if one["how"] == _NEARLY else f"not in the files ({target.name} {could})"
+        say(f"{one['effect']}{one['of']} is {place}: {one['leaves']}")
     for text in (*numbers.notes, *(_unstable(numbers, step) if target.computes_servo else ())):
         say(text)
     return paths
 
 
-def _left_out(numbers: ArmNumbers, name: str) -> Iterator[dict[str, str]]:
+def _left_out(numbers: ArmNumbers, name: str, has_passive: bool) -> Iterator[dict[str, str]]:
     """Effects that the files do not have, how the simulator could have them, and what of the gap that leaves."""
     known = json.loads(Path(__file__).with_name("effects.json").read_text(encoding="utf-8"))
     for entry in numbers.left:
-        how = known.get(entry.effect, {}).get(name, "no")
+        how, leaves = known.get(entry.effect, {}).get(name, "no"), entry.leaves
+        if has_passive and entry.forces is not None:
+            how, leaves = _NEARLY, f"{100 * entry.misses:.0f} % of its torque stays out"
         of = f" of {', '.join(entry.joints)}" if entry.joints else ""
-        yield {"effect": entry.effect, "of": of, "how": how, "leaves": entry.leaves}
+        if not has_passive or entry.forces is None or round(100 * entry.misses):
+            yield {"effect": entry.effect, "of": of, "how": how, "leaves": leaves}
 
 
 def _unstable(numbers: ArmNumbers, step: float) -> Iterator[str]:
