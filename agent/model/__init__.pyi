@@ -5,11 +5,7 @@ from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES
 from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
 from .effects.payload import ball as ball
-from .effects.simulator_numbers import (
-    Bristles as Bristles,
-    PassiveForces as PassiveForces,
-    SimulatorNumbers as SimulatorNumbers,
-)
+from .effects.simulator_numbers import SimulatorNumbers as SimulatorNumbers
 from .friction_terms import (
     FORMS as FORMS,
     ODD as ODD,
@@ -32,6 +28,7 @@ from .known_load import (
     payload_of as payload_of,
     payload_text as payload_text,
 )
+from .passive_forces import Bristles as Bristles, PassiveForces as PassiveForces
 from .regimes import (
     REGIMES as REGIMES,
     RESTS as RESTS,

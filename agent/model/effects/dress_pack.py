@@ -10,8 +10,9 @@ from numpy.polynomial import Polynomial
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.effects.simulator_numbers import Bristles, PassiveForces, SimulatorNumbers, linear_spring
+from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
 from agent.model.friction_terms import dahl
+from agent.model.passive_forces import Bristles, PassiveForces, spring_near, spring_of
 
 N_NODES = 6
 _STIFFEST = 5.0  # nominal torque per radian
@@ -98,17 +99,15 @@ class DressPack(Effect):
         """Of a curve, the cubic next to it over the travelled range."""
         if "low" in values:
             low, high = values["low"], values["high"]
-            q = np.linspace(low, high, 10 * N_NODES)
-            torque = np.column_stack(_curve(q, low, high)) @ [values[f"torque_{k}"] for k in range(N_NODES)]
-            line = Polynomial.fit(q, torque, 3).convert()
+            nodes = [values[f"torque_{k}"] for k in range(N_NODES)]
+            spring = spring_near(lambda q: np.column_stack(_curve(q, low, high)) @ nodes, low, high)
         else:
             powers = [values.get(key, 0.0) for key in ("constant", "stiffness", "quadratic", "cubic")]
-            line = Polynomial(powers)(Polynomial([-values.get("middle", 0.0), 1.0]))
-        c0, c1, c2, c3 = map(float, np.append(line.coef, np.zeros(4))[:4])
+            spring = spring_of(Polynomial(powers)(Polynomial([-values.get("middle", 0.0), 1.0])))
         rubbing = (
             Bristles(level=values["hysteresis"], travel=values["travel"], beside=True) if "travel" in values else None
         )
-        return PassiveForces(spring=(c0, c1, c2, c3), bristles=rubbing)
+        return PassiveForces(spring=spring, bristles=rubbing)
 
 
 def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:

@@ -12,7 +12,8 @@ import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.experiments import THREE_LOADS, SeparatingMotion
-from agent.model.effects.simulator_numbers import PassiveForces, SimulatorNumbers
+from agent.model.effects.simulator_numbers import SimulatorNumbers
+from agent.model.passive_forces import PassiveForces
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription

@@ -9,7 +9,8 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, harmonic_names, harmonics
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.effects.simulator_numbers import PassiveForces, SimulatorNumbers, linear_spring, periodic
+from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
+from agent.model.passive_forces import PassiveForces, periodic
 
 _STRONGEST = 10.0  # nominal torque: what a joint could not be built against
 

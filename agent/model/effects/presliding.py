@@ -7,8 +7,8 @@ from types import MappingProxyType
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
 from agent.model.effects.experiments import SLOW_REVERSALS
-from agent.model.effects.simulator_numbers import Bristles, PassiveForces
 from agent.model.friction_terms import Reversal
+from agent.model.passive_forces import Bristles, PassiveForces
 
 
 class Presliding(Effect):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,69 +31,3 @@ def linear_spring(values: Mapping[str, float]) -> SimulatorNumbers | None:
     if set(values) != {"constant", "stiffness"}:
         return None
     return SimulatorNumbers(spring=(values["constant"], values["stiffness"]))
-
-
-@dataclass(frozen=True)
-class Bristles:
-    """Friction of bristles: dz/dt = w − σ |w| z / g(w), τ = σ z, g = level + rise exp(−(w / speed)²) [N·m], LuGre's
-    without damping of its own (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40, 1995), Dahl's without a rise.
-
-    σ is such that they carry the greatest g after a `travel` [rad], 0 for one that is to be as short as possible.
-    `beside` the joint's friction, or as a part of it.
-    """
-
-    level: float = 0.0
-    rise: float = 0.0
-    speed: float = 1.0
-    travel: float = 0.0
-    beside: bool = False
-
-    def of_joint(self, friction: float) -> Bristles:
-        """With what they take of the Coulomb friction [N·m] of their joint: all of it where it falls with speed."""
-        if self.beside:
-            return self
-        return replace(self, level=friction if self.rise else min(self.level, friction))
-
-    def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """(S,) torque [N·m] on consecutive positions and speeds (S,), all of their friction included."""
-        carried = self.level + self.rise * np.exp(-((qd / self.speed) ** 2))
-        sliding, stiffness = carried * np.sign(qd), (self.level + self.rise) / max(self.travel, 1e-12)
-        force, before = sliding.copy(), sliding[0]
-        for k, fading in enumerate(np.exp(-stiffness * np.abs(np.diff(q)) / np.maximum(carried[1:], 1e-12)), start=1):
-            force[k] = before = sliding[k] + (before - sliding[k]) * fading
-        return force
-
-
-@dataclass(frozen=True)
-class PassiveForces:
-    """What an effect is at its joint, as a simulator with passive forces can say it: the torque against the motion.
-
-    `spring` (c₀ … c₃): Σ cₖ qᵏ [N·m/radᵏ]. `damping` (a, b, c): a w + b w|w| + c w³. `periodic`: amplitude [N·m], order
-    and phase [rad] of amplitude · sin(order · q + phase). On a slide metres stand for radians.
-    """
-
-    spring: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    damping: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    periodic: tuple[tuple[float, float, float], ...] = ()
-    bristles: Bristles | None = None
-
-    def torque(self, q: np.ndarray, qd: np.ndarray, friction: float) -> np.ndarray:
-        """(S,) torque [N·m] beyond the joint's Coulomb `friction` [N·m] at consecutive positions and speeds (S,)."""
-        a, b, c = self.damping
-        total = np.polynomial.polynomial.polyval(q, self.spring) + (a + b * np.abs(qd) + c * qd**2) * qd
-        for amplitude, order, phase in self.periodic:
-            total = total + amplitude * np.sin(order * q + phase)
-        if self.bristles is not None:
-            bristles = self.bristles.of_joint(friction)
-            total = total + bristles.torque(q, qd) - (0.0 if bristles.beside else bristles.level) * np.sign(qd)
-        return total
-
-
-def periodic(values: Mapping[str, float], order: float = 1.0) -> tuple[tuple[float, float, float], ...]:
-    """Σ cosine_h cos(h ν q) + sine_h sin(h ν q) with ν the `order`, as sines with a phase."""
-    count = int(values["harmonics"])
-    return tuple(
-        (float(np.hypot(sine, cosine)), h * order, float(np.arctan2(cosine, sine)))
-        for h in range(1, count + 1)
-        for cosine, sine in [(values[f"cosine_{h}"], values[f"sine_{h}"])]
-    )

@@ -10,7 +10,7 @@ from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed, rubs
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.effects.simulator_numbers import Bristles, PassiveForces
+from agent.model.passive_forces import Bristles, PassiveForces, bell_near
 
 # Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
 _SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
@@ -54,7 +54,7 @@ class Stribeck(FrictionLevel):
         """Of an exponential (δ 1), the bell of the same area and mean over the speed."""
         rise, speed = values["rise"], values["speed"]
         if values["shape"] != 2:
-            rise, speed = 2 / np.pi * rise, np.sqrt(np.pi) * speed
+            rise, speed = bell_near(rise, speed)
         return PassiveForces(
-            bristles=Bristles(values.get("reversal_level", 0.0), rise, float(speed), values.get("reversal_travel", 0.0))
+            bristles=Bristles(values.get("reversal_level", 0.0), rise, speed, values.get("reversal_travel", 0.0))
         )

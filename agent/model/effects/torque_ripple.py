@@ -18,7 +18,7 @@ from agent.model.effects.effect import (
     on_axle,
     travelled,
 )
-from agent.model.effects.simulator_numbers import PassiveForces, periodic
+from agent.model.passive_forces import PassiveForces, periodic
 
 _HIGHEST = 13.0  # periods a motor turn
 _LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant

@@ -9,7 +9,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.effects.simulator_numbers import Bristles, PassiveForces
+from agent.model.passive_forces import Bristles, PassiveForces, damping_near
 
 
 class ViscousNonlinearity(FrictionLevel):
@@ -45,11 +45,10 @@ class ViscousNonlinearity(FrictionLevel):
 
     def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces:
         """The cubic next to it up to the highest speed."""
-        speed = np.linspace(0.0, fastest, 100)
-        torque = values["bend"] * _bent(speed, values) + values["viscous_change"] * speed
-        a, b, c = np.linalg.lstsq(speed[:, None] ** [1, 2, 3], torque, rcond=None)[0]
+        bend, viscous = values["bend"], values["viscous_change"]
+        damping = damping_near(lambda speed: bend * _bent(speed, values) + viscous * speed, fastest)
         level, travel = values.get("reversal_level", 0.0), values.get("reversal_travel", 0.0)
-        return PassiveForces(damping=(a, b, c), bristles=Bristles(level, travel=travel) if travel else None)
+        return PassiveForces(damping=damping, bristles=Bristles(level, travel=travel) if travel else None)
 
 
 def _bent(speed: np.ndarray, settings: Numbers) -> np.ndarray:
