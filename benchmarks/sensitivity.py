@@ -6,6 +6,15 @@ texts, exponents, factors of 100 and 1000, and counts that subscripts and shapes
 a fixed set of small runs is diagnosed: machines of the emulator and of the second world with two joints, and logs of
 real arms. Of a share above one half the complement is varied, of a factor between 1 and 1.5 what exceeds 1.
 
+There are three kinds:
+
+- A derived number follows from a formula or a definition. Its comment, or its source, begins with "derived:".
+- A numerical one says how exactly or how fast something is computed that has a value without it: a batch, a step, an
+  iteration limit, the points of a grid whose best is refined. It has a name next to the algorithm and a comment that
+  begins with "numerical:". That is a claim, so it counts as such only once halving and doubling it changes nothing in
+  runs that reach it; a test fails if it changes anything.
+- All others decide.
+
 Results are kept in `docs/measured/numbers.csv`, so that an interrupted run goes on where it stopped:
 
     python benchmarks/sensitivity.py             # give every number a line, write docs/measured/numbers.md
@@ -63,6 +72,11 @@ class Site:
         """Its name in the table; lines may move without changing it."""
         place = self.path.removeprefix("agent/").removesuffix(".py")
         return f"{place}: {'.'.join(part for part in (self.owner, self.name) if part)}"
+
+    @property
+    def claims(self) -> str:
+        """What it says to be: derived, numerical, or nothing of these."""
+        return next((kind for kind in ("derived", "numerical") if f"{kind}:" in self.comment), "")
 
     @property
     def module(self) -> str:
@@ -131,7 +145,10 @@ class _Numbers(ast.NodeVisitor):
         """Numbers in texts."""
 
     def visit_Subscript(self, node: ast.Subscript) -> None:
+        """An index is none, but a condition may decide which rows count."""
         self.visit(node.value)
+        for condition in (n for n in ast.walk(node.slice) if isinstance(n, ast.Compare)):
+            self.visit(condition)
 
     def visit_BinOp(self, node: ast.BinOp) -> None:
         """Exponents are part of a formula; a factor of 100 or 1000 is a unit."""
@@ -144,7 +161,7 @@ class _Numbers(ast.NodeVisitor):
 
     def visit_Call(self, node: ast.Call) -> None:
         called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-        if called in ("reshape", "range", "zeros", "eye", "split", "round"):
+        if called in ("reshape", "range", "zeros", "eye", "tile", "split", "round"):
             for keyword in node.keywords:
                 self.visit(keyword.value)
             self.visit(node.func)
@@ -171,11 +188,11 @@ class _Numbers(ast.NodeVisitor):
             self._named(node.target, node.value, node)
 
     def _named(self, target: ast.expr, value: ast.expr, node: ast.stmt) -> None:
-        nodes = [n for n in ast.walk(value) if isinstance(n, ast.Constant) and _counts(n.value)]
+        nodes = _constants(value)
         if not nodes or not isinstance(target, ast.Name):
             return
         if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "known":
-            nodes = [n for n in ast.walk(value.args[0]) if isinstance(n, ast.Constant) and _counts(n.value)]
+            nodes = _constants(value.args[0])
             said = [getattr(a, "value", "") for a in value.args[1:]]
             comment, value = "; ".join(map(str, said)), value.args[0]
         elif isinstance(value, ast.Dict) and not all(isinstance(v, ast.Constant) for v in value.values):
@@ -190,7 +207,7 @@ class _Numbers(ast.NodeVisitor):
             )
 
     def visit_Tuple(self, node: ast.Tuple) -> None:
-        inside = [n for n in ast.walk(node) if isinstance(n, ast.Constant) and _counts(n.value)]
+        inside = _constants(node)
         if inside and all(isinstance(e, (ast.Constant, ast.UnaryOp)) for e in node.elts):
             self._inline(node, inside)
         else:
@@ -209,6 +226,14 @@ class _Numbers(ast.NodeVisitor):
         self.found.append(
             Site(self.path, "inline", self._owner, name, text, node.lineno, self._comment(node), tuple(map(_at, nodes)))
         )
+
+
+def _constants(node: ast.AST) -> list[ast.Constant]:
+    """Numbers below a node that count, those of subscripts left out."""
+    if isinstance(node, ast.Constant):
+        return [node] if _counts(node.value) else []
+    parts = [node.value] if isinstance(node, ast.Subscript) else ast.iter_child_nodes(node)
+    return [constant for part in parts for constant in _constants(part)]
 
 
 def _at(node: ast.Constant) -> tuple[int, int]:
@@ -617,11 +642,26 @@ def _last(site: Site) -> int:
     return next((place for place, name in enumerate(order) if name in site.path), len(order))
 
 
+def kind_of(site: Site, row: dict[str, Any]) -> str:
+    """What a number is: derived, numerical, or one that decides."""
+    if site.claims != "numerical":
+        return site.claims or "decides"
+    return "numerical" if int(row["runs"]) and int(row["executed"]) and not _changes(row) else "decides"
+
+
+def _changes(row: dict[str, Any]) -> int:
+    """Runs that a number changes."""
+    return sum(int(row[name] or 0) for name in COLUMNS[4:])
+
+
 def page(rows: Sequence[dict[str, Any]]) -> str:
     """Markdown text of the table."""
     known = {site.key: site for site in sites()}
-    measured = [row for row in rows if int(row["runs"])]
-    decide = [row for row in measured if sum(int(row[name]) for name in COLUMNS[4:])]
+    of_kind: dict[str, list[dict[str, Any]]] = {"decides": [], "numerical": [], "derived": []}
+    for row in rows:
+        of_kind[kind_of(known[row["number"]], row)].append(row)
+    deciding = of_kind["decides"]
+    measured = [row for row in deciding if int(row["runs"])]
     idle = [row for row in measured if not int(row["executed"])]
     text = [
         "# Numbers of a diagnosis",
@@ -631,19 +671,25 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
         "probability of the first cause moves by over 0.05 in one further run. `benchmarks/sensitivity.py` writes",
         "this page and says which numbers are left out. No number is chosen by it.",
         "",
-        f"{len(rows)} numbers: {len(measured)} measured, of which {len(decide)} change an answer or a probability and "
-        f"{len(idle)} are in code that no run reaches.",
+        f"{len(deciding)} numbers decide: {len(measured)} measured, of which {sum(map(bool, map(_changes, measured)))} "
+        f"change an answer or a probability and {len(idle)} are in code that no run reaches. "
+        f"{len(of_kind['numerical'])} are numerical and {len(of_kind['derived'])} derived.",
     ]
     for package in PACKAGES:
-        text += ["", f"## {package}", "", "| number | value | unit and source | runs | halved | doubled |"]
-        text += ["| --- | --- | --- | --- | --- | --- |"]
-        for row in rows:
-            site = known[row["number"]]
-            if site.path.startswith(f"{package}/"):
-                said = site.comment.replace("|", "\\|")
-                cells = (f"`{row['number']}`", f"`{row['value']}`", said, *_outcome(row))
-                text.append("| " + " | ".join(cells) + " |")
+        text += _table(package, [row for row in deciding if known[row["number"]].path.startswith(f"{package}/")], known)
+    text += _table("Numerical: halved and doubled, they change nothing", of_kind["numerical"], known)
+    text += _table("Derived from a formula or a definition", of_kind["derived"], known)
     return "\n".join([*text, ""])
+
+
+def _table(title: str, rows: Sequence[dict[str, Any]], known: dict[str, Site]) -> list[str]:
+    text = ["", f"## {title}", "", "| number | value | unit and source | runs | halved | doubled |"]
+    text += ["| --- | --- | --- | --- | --- | --- |"]
+    for row in rows:
+        said = known[row["number"]].comment.replace("|", "\\|")
+        cells = (f"`{row['number']}`", f"`{row['value']}`", said, *_outcome(row))
+        text.append("| " + " | ".join(cells) + " |")
+    return text
 
 
 def _outcome(row: dict[str, Any]) -> tuple[str, str, str]:

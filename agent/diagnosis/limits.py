@@ -1,7 +1,7 @@
 """The numbers behind a diagnosis, as data: value, unit, meaning and source.
 
-A source is `derived` (a formula or a definition gives the number), `chosen` (what somebody at the machine would call
-small, or what a motion lasts), `tuned` (on simulated runs), or a publication.
+A source is `derived` (a formula gives the number), the definition of the verdict, `chosen` (what somebody at the
+machine would call small, or what a motion lasts), `tuned` (on simulated runs), or a publication.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def known(value: Any, unit: str, meaning: str, source: str) -> Any:
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "source": source})
 
 
-_CONTRACT = "derived: the definition of the verdict (docs/diagnosis.md)"
+_CONTRACT = "the definition of the verdict (docs/diagnosis.md)"
 
 
 @dataclass(frozen=True)
@@ -40,16 +40,18 @@ class DecisionLimits:
         "numbers of a simulator have to gain as much to be released",
         "tuned by hand on simulated runs",
     )
-    practical_torque: float = known(
-        0.005,
-        "nominal torque, RMS",
-        "a smaller gap over the background is tolerated where a torque channel stands still",
-        "chosen",
-    )
 
     # What a verdict promises
     explained: float = known(0.75, "gap", "that all causes close together, or it is not explained", _CONTRACT)
     least_share: float = known(0.1, "gap", "a cause that closes less by itself has no size", "chosen")
+    negligible: float = known(
+        0.05,
+        "part",
+        "that counts as nothing: of a gap, of an error, of the energy or the change of a torque, of a travel",
+        "chosen: 5 %",
+    )
+    deviations: float = known(3.0, "standard deviations", "more is no chance", "chosen: 0.3 % of normal errors")
+    fewest: int = known(10, "samples", "fewer say nothing", "chosen")
     path_probability: float = known(
         0.97,
         "probability",
@@ -58,7 +60,13 @@ class DecisionLimits:
     )
 
     # In plain held-out error
-    no_closure: float = known(1.1, "floor", "a gap below it has no closure", _CONTRACT)
+    alike: float = known(
+        1.1,
+        "another error",
+        "up to which two errors are alike: a gap and its repeatability, what two corrections leave, how far two "
+        "simulators drift",
+        _CONTRACT,
+    )
     usual_error: float = known(
         2.0,
         "held-out error of the model",
@@ -97,11 +105,15 @@ class DecisionLimits:
 
     # Segments of time
     block: float = known(1.0, "s", "of motion that are drawn as one: errors last as long", "chosen")
-    parity: float = known(0.1, "s", "held out in turn, for what happens once", "chosen")
-    guard: float = known(0.2, "s", "either side of a border between folds of one log", "chosen: the filter's reach")
+    independent: float = known(
+        0.1,
+        "s",
+        "between independent rows: filters carry an error half as far either way, a shorter standstill is a reversal, "
+        "and twice as much is left out between folds of one log",
+        "chosen: the filter's reach",
+    )
+    blocks: int = known(5, "parts", "of a log that is compared with itself", "chosen")
     shortest: float = known(3.0, "s", "of the only log", "chosen: five folds with guards")
-    near_rest: float = known(0.05, "s", "around standstill over which the filter carries its torque", "chosen")
-    long_rest: float = known(0.1, "s", "of standstill, or a joint only passes through a reversal", "chosen")
 
 
 LIMITS = DecisionLimits()

@@ -15,11 +15,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
+from agent.diagnosis.hypotheses.law import WITHIN
 from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, groups_of
 from agent.diagnosis.sizes import unit_of
 from agent.simulators import Correction
-
-_WIDTH = 1.645  # standard deviations, 90 %
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def _unit(effect: str, parameter: str, slides: bool) -> str:
 
 
 def _ends(value: float, deviation: float) -> tuple[float, float]:
-    return float(value - _WIDTH * deviation), float(value + _WIDTH * deviation)
+    return float(value - WITHIN * deviation), float(value + WITHIN * deviation)
 
 
 def _range(of: str, parameter: str, value: float, deviation: float, unit: str) -> Range:

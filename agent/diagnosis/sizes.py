@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
 
 from agent.core import plus_minus
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.model import CATALOGUE
 
 _ROUNDING = 1e-9  # of a parameter: it is the same in every fold
+_LEAST_DEGREES = 3  # of freedom
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 
@@ -94,14 +96,20 @@ def intervals(selected: SelectedCauses) -> list[dict[str, tuple[float, float]]]:
         parts = [[reported(values[number]) for values in group] for group in groups]
         entry = {}
         for name, value in reported(fit.values[number]).items():
-            half = max(_jackknife([part[name] for part in group]) for group in parts)
+            half = max(float(jackknife(np.array([part[name] for part in group]))) for group in parts)
             if half > _ROUNDING * abs(value):
                 entry[name] = (value - half, value + half)
         found.append(entry)
     return found
 
 
-def _jackknife(values: Sequence[float]) -> float:
-    """Half of the interval; Student's t is taken from three degrees of freedom on, fewer say too little for it."""
+def jackknife(values: np.ndarray) -> np.ndarray:
+    """Half (…) of the 95 % interval from values (K, …) without one group each: the delete-a-group jackknife.
+
+    Student's t is taken from three degrees of freedom on; fewer say too little for it.
+    """
     count = len(values)
-    return float(stdtrit(max(count - 1, 3), 0.975) * np.sqrt((count - 1) * np.var(values))) if count > 1 else 0.0
+    if count < 2:
+        return np.zeros(values.shape[1:])
+    likely = stdtrit(max(count - 1, _LEAST_DEGREES), (1 + LAW.certain) / 2)
+    return np.asarray(likely * np.sqrt((count - 1) * np.var(values, axis=0)))

@@ -16,13 +16,12 @@ import numpy as np
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.extension import extended_model
 from agent.diagnosis.gap.torque_gap import rms
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.workflow import diagnose
 from agent.model import IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
-
-_LEAST_GAIN = 0.05  # of the squared error held out, each joint over its own without effects
 
 
 def with_structure(
@@ -48,7 +47,7 @@ def with_structure(
     places = [", ".join(robot.joint_names[j] for j in form.joints) or "the whole arm" for form in forms]
     names = " and ".join(f"{form.effect.name} on {where}" for form, where in zip(forms, places, strict=True))
     figure = f"{np.sqrt(error):.3f} of the held-out error without"
-    if error > 1 - _LEAST_GAIN:
+    if error > 1 - LIMITS.negligible:
         return _noted(model, f"{names} would explain a gap, but leaves {figure}, so nothing is added.")
     selected = replace(found.selected, fit=extended, causes=tuple(forms))
     changed = extended_model(replace(found, dataset=replace(found.dataset, model=model), selected=selected))

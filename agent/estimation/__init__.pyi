@@ -2,6 +2,7 @@ from .estimators import ESTIMATORS as ESTIMATORS, Estimator as Estimator
 from .filtering import (
     FilterSettings as FilterSettings,
     Motion as Motion,
+    bands as bands,
     motions as motions,
     resolve_cutoff as resolve_cutoff,
     smooth_and_differentiate as smooth_and_differentiate,

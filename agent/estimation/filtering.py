@@ -178,7 +178,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
         InputError: no segment is longer than the filter's edges, or the sampling rate is too low for the cut-off.
     """
     cutoff = resolve_cutoff(log, settings)
-    flat, stop = _bands(log, cutoff)
+    flat, stop = bands(log.sample_rate, cutoff)
     edge = _edge_time(cutoff, flat, stop)
     needed = _needed(cutoff, edge)
     long_enough, short = _segments(log, cutoff, needed)
@@ -225,7 +225,7 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
 def used_text(log: Log, settings: FilterSettings) -> str:
     """Text for people: the number of samples of a log that remain after a filter, and the dropped ones."""
     cutoff = resolve_cutoff(log, settings)
-    edge = _edge_time(cutoff, *_bands(log, cutoff))
+    edge = _edge_time(cutoff, *bands(log.sample_rate, cutoff))
     long_enough, short = _segments(log, cutoff, _needed(cutoff, edge))
     stamps = [log.t[a:b] for a, b in long_enough]
     used = sum(int(np.count_nonzero(np.abs(t - (t[0] + t[-1]) / 2) <= (t[-1] - t[0]) / 2 - edge)) for t in stamps)
@@ -348,9 +348,9 @@ def _respond(signals: np.ndarray, rate: float, responses: _Responses, kept: slic
     return [result.T for result in results]
 
 
-def _bands(log: Log, cutoff: float) -> tuple[float, float]:
-    """Highest frequency at which the smoothing is flat, and lowest at which it passes nothing [Hz]."""
-    stop = min(4.5 * cutoff, 0.47 * log.sample_rate)
+def bands(rate: float, cutoff: float) -> tuple[float, float]:
+    """Highest frequency at which the smoothing is flat at a sampling rate, and lowest at which it passes nothing."""
+    stop = min(4.5 * cutoff, 0.47 * rate)
     return max(stop * 2 / 3, 1.15 * cutoff), stop
 
 

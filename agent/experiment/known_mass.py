@@ -9,24 +9,19 @@ from typing import Any
 import numpy as np
 
 from agent.core import Console
-from agent.diagnosis import Diagnosis
+from agent.diagnosis import LAW, LIMITS, Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.deadline import Deadline
-from agent.experiment.piece_choice import Expected, Experiment, plan_experiment
+from agent.experiment.piece_choice import WITHIN_REACH, Expected, Experiment, plan_experiment
 from agent.experiment.questions import OpenPair
 from agent.experiment.scorer import tells_apart_by_load
 from agent.model import PAYLOAD, payload_text
-from agent.robot import Tool, kinematics_for
+from agent.robot import Tool
 
 #: Longest motion that is planned [s].
 LONGEST = 60.0
-#: A motion settles a pair only if the right answer becomes more probable than this.
-_HELPS = 0.3
 #: Weight of the mass that is tried, at full reach, as a share of the strongest joint's nominal torque.
 _TRIAL_LOAD = 0.1
-#: A mass is proposed in addition to a motion of the bare arm if that motion leaves the right answer below the first
-#: probability and the mass adds the second.
-_LIKELY, _WORTH_MOUNTING = 0.8, 0.2
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,7 @@ class WithMass:
 def helped(expected: Expected) -> bool:
     """Whether a motion makes a right answer likely that was not."""
     sides = zip(expected.before_if, expected.after_if, strict=True)
-    return any(b is not None and a is not None and a > max(_HELPS, b + 0.05) for b, a in sides)
+    return any(b is not None and a is not None and a > max(WITHIN_REACH, b + LIMITS.negligible) for b, a in sides)
 
 
 def with_a_mass(
@@ -94,10 +89,9 @@ def with_a_mass(
     loaded = replace(problem, load=load)
     tried = plan_experiment(found, pairs, loaded, LONGEST, seed, deadline or Deadline(console.progress))
     asked_for = [e for e in tried.expected if (id(e.pair) in doubtful if bare else helped(e))]
-    better = [e for e in asked_for if e.after >= doubtful.get(id(e.pair), -np.inf) + _WORTH_MOUNTING]
-    if not better:
+    best = max(asked_for, key=lambda e: e.after, default=None)
+    if best is None or (bare is not None and best.after < LAW.detected):
         return None
-    best = max(better, key=lambda e: e.after)
     return WithMass(load, (best.pair.first.text(), best.pair.second.text()), best.after, doubtful.get(id(best.pair)))
 
 
@@ -106,17 +100,15 @@ def _doubted(found: Diagnosis, expected: Expected) -> bool:
     names, equal = found.dataset.robot.joint_names, found.selected.rivals
     first = found.selected.causes[0].place if found.selected.causes else None
     one, other = expected.pair.first.place(names), expected.pair.second.place(names)
-    return expected.after < _LIKELY and one == first and other in equal[0]
+    return expected.after < LAW.detected and one == first and other in equal[0]
 
 
 def _trial_load(found: Diagnosis, problem: LoopProblem) -> Tool | None:
     """A light mass for the arm, within its rated payload; None where the tool takes all of that."""
     robot = problem.robot
-    lower, upper = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
-    postures = np.random.default_rng(0).uniform(lower, upper, (50, robot.dof))
-    reach = float(np.linalg.norm(kinematics_for(robot, None).forward(postures)[:, :3, 3], axis=1).max())
-    strongest = float(np.max(found.dataset.fit.reference.scale))
+    reference = found.dataset.fit.reference
     mounted = 0.0 if problem.tool is None else problem.tool.mass
     allowed = np.inf if robot.rated_payload is None else robot.rated_payload - mounted
-    mass = float(min(float(f"{_TRIAL_LOAD * strongest / (9.81 * max(reach, 0.1)):.1g}"), allowed))
+    torque = _TRIAL_LOAD * float(np.max(reference.scale))
+    mass = float(min(float(f"{torque / (9.81 * reference.reach):.1g}"), allowed))
     return Tool(np.eye(4), mass, np.zeros(3)) if mass > 0 else None

@@ -15,7 +15,7 @@ from agent.excitation import Candidates, LoopProblem, LoopScore
 from agent.experiment.deadline import Deadline
 from agent.experiment.known_mass import LONGEST, WithMass, helped, with_a_mass
 from agent.experiment.piece_choice import Experiment, plan_experiment
-from agent.experiment.pieces import Piece
+from agent.experiment.pieces import SPEED_ROUND_OFF, Piece
 from agent.experiment.questions import OpenPair, open_pairs
 from agent.link import plan_program, torque_limits, with_payload
 from agent.model import CATALOGUE, PAYLOAD, payload_text
@@ -25,13 +25,11 @@ from agent.recording import PARTS, PLANNED_PARTS
 from agent.robot import RobotDescription, Tool, TorqueLimits
 from agent.safety import PlannedProgram
 
-#: Share of the planning time for the motion of the bare arm; the rest is for the question of a known mass.
-_BARE = 0.7
 #: Loops that are tried to find the limit which none keeps.
 _TRIED = 20
 #: Share of the joint speeds between pieces. It is halved while the tool exceeds the recipe's speed by more than
-#: round-off.
-_WAY_SPEED, _SLOWEST_WAY, _SPEED_ROUND_OFF = 0.2, 0.02, 1.01
+#: round-off and the speed is at least one of the whole percents that controllers take.
+_WAY_SPEED = 0.2
 DRIVES_OFF = "--drives-off"
 BRAKES = f"record 1 s with the drives off ({DRIVES_OFF} LOG)"
 
@@ -140,7 +138,7 @@ def plan_motion(
     console.step(f"searching for a motion of at most {seconds:.0f} s that settles the cause")
     runs = RunnablePieces(recipe, name, seconds, load, limits)
     seed = recipe.search.seed
-    experiment = plan_experiment(found, pairs, problem, seconds, seed, deadline.share(_BARE), runs)
+    experiment = plan_experiment(found, pairs, problem, seconds, seed, deadline.share(0.5), runs)
     if runs.motion is not None:
         brakes = brakes_tell(found, [e.pair for e in experiment.expected])
         motion = NextMotion(experiment, runs.motion, recipe.robot, recipe.dialect, load, brakes)
@@ -250,7 +248,7 @@ class RunnablePieces:
                 self.refused = str(error)
                 return False
             over = planned.speed / recipe.motion.speed
-            if over <= _SPEED_ROUND_OFF or speed < _SLOWEST_WAY:
+            if over <= SPEED_ROUND_OFF or 100 * speed < 2:
                 break
             speed /= 2
         took = planned.duration

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.diagnosis import Diagnosis
+from agent.diagnosis import LAW, Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.baselines import d_optimal, together
 from agent.experiment.deadline import Deadline, OutOfTime
@@ -18,15 +18,11 @@ from agent.experiment.scorer import ExperimentScorer, InformationGain
 
 #: Number of drawn pieces, of which the best are combined, and number of neighbours tried for each of these.
 _POOL, _NEIGHBOURS = 240, 12
-#: Most pieces chosen for what they separate, and the probability of the right answer from which on they are enough.
-_MOST_PIECES, _SURE = 5, 0.97
-#: Share of the time for the ways between pieces, and of the rest for what is asked; what is left says most of
+#: Share of the time for the ways between pieces. Of the rest, half is for what is asked; what is left says most of
 #: everything, since no plan knows laws that nobody thought of.
-_WAYS, _ASKED = 0.15, 0.5
+_WAYS = 0.15
 #: A pair is asked about where all pieces together make the right answer likelier than this.
-_WITHIN_REACH = 0.3
-#: Part of the time for planning by which pieces are drawn.
-_DRAWN_BY = 0.6
+WITHIN_REACH = 0.3
 #: Smallest rise of the expected value for a further piece.
 _LEAST_IMPROVEMENT = 0.01
 
@@ -70,7 +66,7 @@ def plan_experiment(
     found: Diagnosis,
     pairs: Sequence[OpenPair],
     problem: LoopProblem,
-    seconds: float = 60.0,
+    seconds: float,
     seed: int = 1,
     deadline: Deadline | None = None,
     runnable: Callable[[Sequence[Piece]], bool] = lambda pieces: True,
@@ -100,16 +96,16 @@ def plan_experiment(
     deadline, cut_short = deadline or Deadline(), True
     with suppress(OutOfTime):
         for number in range(_POOL):
-            deadline.share(_DRAWN_BY)(f"motions that would tell more: {number + 1} of {_POOL} weighed")
+            deadline.share(0.5)(f"motions that would tell more: {number + 1} of {_POOL} weighed")
             if (piece := pieces.draw()) is not None:
                 pool.append((piece, scorer.told(piece.motion)))
         cut_short = False
     before = scorer.chances(scorer.nothing)
     at_best = scorer.chances(_sum(scorer, pool))
-    asked = (at_best > np.maximum(np.nan_to_num(before), _WITHIN_REACH)) & (np.nan_to_num(before) < _SURE)
+    asked = (at_best > np.maximum(np.nan_to_num(before), WITHIN_REACH)) & (np.nan_to_num(before) < LAW.certain)
     if not asked.any():
         return Experiment((), (), len(pool), cut_short)
-    chosen = _varied(scorer, pieces, _greedy(scorer, pool, _ASKED * longest, asked), _ASKED * longest, asked, deadline)
+    chosen = _varied(scorer, pieces, _greedy(scorer, pool, longest / 2, asked), longest / 2, asked, deadline)
     design = together(
         d_optimal(found.dataset, scorer.model_information),
         [piece for piece, _ in pool],
@@ -168,7 +164,7 @@ def _joints(found: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:
 def _greedy(scorer: ExperimentScorer, pool: Sequence[Weighed], seconds: float, asked: np.ndarray) -> list[Weighed]:
     chosen: list[Weighed] = []
     now = _utility(scorer, chosen, asked)
-    while len(chosen) < _MOST_PIECES:
+    while True:
         left = seconds - sum(piece.duration for piece, _ in chosen)
         options = [entry for entry in pool if entry[0].duration <= left and all(entry[0] is not c[0] for c in chosen)]
         if not options:
@@ -178,7 +174,7 @@ def _greedy(scorer: ExperimentScorer, pool: Sequence[Weighed], seconds: float, a
         if worth[best] - now < _LEAST_IMPROVEMENT:
             break
         chosen, now = [*chosen, options[best]], worth[best]
-        if scorer.chances(_sum(scorer, chosen))[asked].min() > _SURE:
+        if scorer.chances(_sum(scorer, chosen))[asked].min() > LAW.certain:
             break
     return chosen
 
@@ -188,7 +184,7 @@ def _sum(scorer: ExperimentScorer, chosen: Sequence[Weighed]) -> InformationGain
 
 
 def _utility(scorer: ExperimentScorer, chosen: Sequence[Weighed], asked: np.ndarray) -> float:
-    """Log odds of the pairs within reach, the worst first, then the others."""
-    chance = np.clip(scorer.chances(_sum(scorer, chosen))[asked], 1e-300, 1 - 1e-9)
-    odds = np.minimum(np.log(chance / (1 - chance)), 4)
-    return float(odds.min() + 0.3 * odds.mean())
+    """Log odds of the worst pair within reach and of all of them; more than certain counts no more."""
+    chance = np.clip(scorer.chances(_sum(scorer, chosen))[asked], 1e-300, LAW.certain)
+    odds = np.log(chance / (1 - chance))
+    return float(odds.min() + odds.mean())

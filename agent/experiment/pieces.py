@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from agent.diagnosis import LIMITS
 from agent.excitation import Candidates, LoopProblem
 from agent.motion import (
     Delay,
@@ -29,25 +30,20 @@ from agent.robot import KinematicsError, RobotDescription
 #: Kinds of pieces, and how often each is drawn; loops alone are what an excitation is.
 KINDS = {"loop": 0.4, "stops": 0.3, "reversals": 0.3}
 #: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest.
-_LOOP_SPEEDS = (1.0, 0.5, 0.2)
-_STOP_SPEEDS = (1.0, 0.3, 0.1)
+_PATH_SPEEDS = (1.0, 0.3, 0.1)
 _JOINT_SPEEDS = (0.01, 0.05, 0.2, 1.0)
 #: Rests [s].
 _RESTS = (0.3, 1.0, 2.0)
 #: Largest turn of a joint to either side [rad, m], before it is cut to the sub-region.
 _TURNS = (0.05, 0.2, 0.6, 2.0)
-#: Less than this [rad, m] is no reversal.
-_LEAST_TURN = 0.02
 #: Number of steps in which reversals grow to the largest turn.
 _STEPS = 3
 #: [s] of the pieces' set-points, while they are weighed; the program is checked at the controller's own.
 PERIOD = 0.01
 #: Largest ratio of the tool's speed to the commanded speed, in set-points with this period.
-_SPEED_ROUND_OFF = 1.01
-#: Change of a gene when a piece is varied.
-_VARY = 0.15
-#: Standard deviation of the logarithm of a neighbour's speed and turn.
-_FACTOR = 0.3
+SPEED_ROUND_OFF = 1.01
+#: Standard deviation of a neighbour's genes, and of the logarithm of its speed and turn.
+_VARY = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +120,7 @@ class Pieces:
         """A piece at random; None where it breaks a limit."""
         rng = self._rng
         kind = str(rng.choice(list(self._kinds), p=list(self._kinds.values())))
-        speeds = {"loop": _LOOP_SPEEDS, "stops": _STOP_SPEEDS, "reversals": _JOINT_SPEEDS}[kind]
+        speeds = _JOINT_SPEEDS if kind == "reversals" else _PATH_SPEEDS
         joint = int(rng.choice(self._joints))
         genome = rng.uniform(size=self.problem.genes)
         return self.make(
@@ -135,8 +131,8 @@ class Pieces:
         """A neighbour of a piece."""
         draw, rng = piece.draw, self._rng
         genome = np.clip(draw.genome + _VARY * rng.standard_normal(len(draw.genome)), 0.0, 1.0)
-        factor = float(np.exp(_FACTOR * rng.standard_normal()))
-        turn = draw.turn * float(np.exp(_FACTOR * rng.standard_normal()))
+        factor = float(np.exp(_VARY * rng.standard_normal()))
+        turn = draw.turn * float(np.exp(_VARY * rng.standard_normal()))
         return self.make(replace(draw, genome=genome, speed=min(draw.speed * factor, 1.0), turn=turn))
 
     def make(self, draw: Draw) -> Piece | None:
@@ -151,7 +147,7 @@ class Pieces:
         except (MotionError, KinematicsError):
             return None
         over = float(trajectory.path_speed.max()) / self.problem.settings.linear_speed
-        if over > _SPEED_ROUND_OFF:
+        if over > SPEED_ROUND_OFF:
             slower = replace(draw, speed=int(100 * draw.speed / over) / 100)
             return self.make(slower) if draw.kind == "reversals" and slower.speed > 0 else None
         if trajectory.duration > self._longest or not self._candidates.clear(trajectory):
@@ -188,7 +184,7 @@ class Pieces:
         turn = draw.turn
         while not self._inside(middle, draw.joint, turn):
             turn /= 2
-            if turn < _LEAST_TURN:
+            if turn < LIMITS.least_travel:
                 return None
         calm = self._settings(1.0).changed(speed_override=draw.speed).stopping()
         statements: list[Statement] = []
@@ -205,7 +201,8 @@ class Pieces:
         lower, upper = self._candidates.joint_limits
         if not lower[joint] <= middle[joint] - turn <= middle[joint] + turn <= upper[joint]:
             return False
-        postures = np.tile(middle, (9, 1))
-        postures[:, joint] += np.linspace(-turn, turn, 9)
+        turns = turn * np.arange(-_STEPS, _STEPS + 1) / _STEPS
+        postures = np.tile(middle, (len(turns), 1))
+        postures[:, joint] += turns
         tips = self._candidates.kinematics.forward(postures)[:, :3, 3]
         return bool(np.all(tips >= self._low) and np.all(tips <= self._high))

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
-from agent.diagnosis import LIMITS, Candidate, Dataset, Evidence, MotionCoverage, noise_level, smooth_columns
+from agent.diagnosis import LIMITS, POWER, Candidate, Dataset, Evidence, MotionCoverage, noise_level, smooth_columns
 from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.model import MotionSignals, NominalModel
@@ -34,8 +34,6 @@ from agent.robot import Tool
 _FINE = 0.03
 #: A load that multiplies the expected evidence by this is worth mounting.
 _LOADED = 1.5
-#: Standard deviations that 80 % of draws exceed.
-_POWER = 0.84
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ class ExperimentScorer:
         signals = MotionSignals(self._reference, motion.time, motion.q, motion.qd, motion.qdd, log, started=after)
         sigma = background_on(dataset, self._reference, signals)
         moving = dataset.fit.sigma.min(axis=0)
-        sigma = np.where(sigma > 1.01 * moving, np.inf, sigma)
+        sigma = np.where(sigma > (1 + 1e-6) * moving, np.inf, sigma)
         step = float(np.median(np.diff(motion.time)))
         model = self._reference.model.columns(motion.q, motion.qd, motion.qdd)
         columns = self._columns(signals, motion, 1 / step)
@@ -167,8 +165,8 @@ class ExperimentScorer:
 
     def minimum_detectable_sizes(self, added: InformationGain) -> list[float | None]:
         """Per pair with nothing as its rival the smallest size that four of five draws show, over the practical one."""
-        root, least = np.sqrt(2) * _POWER, self._evidence.needed(True)
-        needed = (root + np.sqrt(root**2 + 4 * least)) / 2
+        root, least = np.sqrt(2) * POWER, self._evidence.needed(True)
+        needed = root / 2 + np.sqrt((root / 2) ** 2 + least)
         return [
             float(needed / np.sqrt(first)) if pair.second.form is None and first > 0 else None
             for pair, (first, _) in zip(self.pairs, self.evidence(added), strict=True)
@@ -188,7 +186,7 @@ def background_on(dataset: Dataset, reference: NominalModel, motion: MotionSigna
     turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
     turns[:-1] |= turns[1:]
     near = turns.copy()
-    for shift in range(1, int(LIMITS.near_rest / float(np.median(np.diff(motion.time)))) + 1):
+    for shift in range(1, int(0.5 * LIMITS.independent / float(np.median(np.diff(motion.time)))) + 1):
         near[shift:] |= turns[:-shift]
         near[:-shift] |= turns[shift:]
     return np.where(near, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)
@@ -203,7 +201,7 @@ def _low_pass(rate: float, dataset: Dataset) -> Callable[[np.ndarray], np.ndarra
     """Columns (S, k) at a rate [Hz] as the diagnosis sees them."""
     from scipy.signal import butter, sosfiltfilt
 
-    if not dataset.cutoff < 0.45 * rate:
+    if not 2 * dataset.cutoff < rate:
         return np.asarray
     sections = butter(dataset.model.order, dataset.cutoff, fs=rate, output="sos")
     return lambda columns: sosfiltfilt(sections, np.nan_to_num(columns), axis=0)

@@ -3,7 +3,13 @@ from .effect_prediction import effect_torque as effect_torque
 from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
 from .effects.dress_pack import N_NODES as N_NODES
-from .effects.effect import Columns as Columns, Effect as Effect, FitContext as FitContext
+from .effects.effect import (
+    BELOW_ZERO as BELOW_ZERO,
+    REVERSAL_TRAVELS as REVERSAL_TRAVELS,
+    Columns as Columns,
+    Effect as Effect,
+    FitContext as FitContext,
+)
 from .effects.payload import ball as ball
 from .effects.simulator_numbers import SimulatorNumbers as SimulatorNumbers
 from .friction_terms import (

@@ -78,6 +78,10 @@ class NominalModel:
         for term in self.model.terms:
             if term.axle == axle and term.form == "coulomb" and term.reversal is not None:
                 return term.reversal
+        return self.sharp_reversal(axle)
+
+    def sharp_reversal(self, axle: int) -> Reversal:
+        """That of friction on an axle that changes its sign at once."""
         return Reversal("speed", 2e-3 * float(self.robot.max_velocity[axle]))
 
 

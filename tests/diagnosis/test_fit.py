@@ -8,6 +8,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows import moments
 from agent.diagnosis.rows.candidate import Candidate, Fold
 from agent.diagnosis.rows.fit import Fit
@@ -82,7 +83,7 @@ def test_fits_are_least_squares_over_the_rows_that_are_not_held_out(plain, forms
     inside = fit.rests.inside(len(fit.cell))
     assert np.array_equal(fit.near_rest, inside | (fit.sigma > [0.81, 0.31]))
     assert inside.any()
-    with patch("agent.diagnosis.rows.fit._INDEPENDENT", 1e-3):
+    with patch("agent.diagnosis.rows.fit.LIMITS", replace(LIMITS, independent=1e-3)):
         assert synthetic_fit().repeat == 1
 
 

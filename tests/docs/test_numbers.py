@@ -1,5 +1,7 @@
 """Every number that may change an answer has a line in docs/measured/numbers.csv, and varying one varies that alone."""
 
+from dataclasses import replace
+
 import pytest
 
 from agent.diagnosis.hypotheses.law import LAW
@@ -18,6 +20,26 @@ def test_every_number_has_its_line():
     assert sensitivity.PAGE.read_text("utf-8") == sensitivity.page(list(sensitivity.table().values()))
 
 
+def test_what_is_called_numerical_changes_nothing():
+    rows = sensitivity.table()
+    claimed = [rows[number] for number, site in NUMBERS.items() if site.claims == "numerical"]
+    changed = [row["number"] for row in claimed if any(int(row[name] or 0) for name in sensitivity.COLUMNS[4:])]
+    assert changed == [], "it decides: say so in its comment"
+
+
+def test_a_number_is_numerical_only_once_runs_that_reach_it_show_nothing(numerical):
+    row = {"runs": "10", "executed": "3", **dict.fromkeys(sensitivity.COLUMNS[4:], "0")}
+    assert sensitivity.kind_of(numerical, row) == "numerical"
+    for less in ({"runs": "0"}, {"executed": "0"}, {"half_answers": "1"}, {"double_probabilities": "1"}):
+        assert sensitivity.kind_of(numerical, row | less) == "decides"
+    assert sensitivity.kind_of(replace(numerical, comment="of rows"), row) == "decides"
+
+
+@pytest.fixture
+def numerical():
+    return replace(next(iter(NUMBERS.values())), comment="numerical: rows that are worked out together")
+
+
 @pytest.mark.parametrize(
     ("value", "half", "double"),
     [(0.2, 0.1, 0.4), (3, 2, 6), (0.95, 0.975, 0.9), (1.1, 1.05, 1.2), ((0.1, 2.0), (0.05, 1.0), (0.2, 4.0))],
@@ -31,15 +53,18 @@ def test_a_number_is_varied_wherever_it_stands_and_put_back():
     plausible = CATALOGUE["payload"].plausible
     light = {"mass": 0.015, **dict.fromkeys(("moment_x", "moment_y", "moment_z"), 0.0)}
     assert plausible({}, light)
-    with sensitivity.changed(NUMBERS["model/effects/payload: Payload.plausible.0.01"], 2.0):
+    with sensitivity.changed(NUMBERS["model/effects/payload: _LEAST_MASS"], 2.0):
         assert not plausible({}, light)
     assert plausible({}, light)
     with sensitivity.changed(NUMBERS["diagnosis/hypotheses/law: EvidenceLaw.sure"], 2.0):
         assert LAW.sure == pytest.approx(0.2)
     assert LAW.sure == 0.6
-    with sensitivity.changed(NUMBERS["model/effects/stribeck: Stribeck.needs_speed"], 2.0):
-        assert CATALOGUE["stribeck"].needs_speed == 2 * 0.05
-    assert stribeck.Stribeck.needs_speed == 0.05
+    with sensitivity.changed(NUMBERS["model/effects/effect: Effect.needs_travel"], 2.0):
+        assert CATALOGUE["stribeck"].needs_travel == 2 * 0.02
+    assert stribeck.Stribeck.needs_travel == 0.02
+    with sensitivity.changed(NUMBERS["model/effects/encoder_offset: EncoderOffset.plausible.0.3"], 0.5):
+        assert not CATALOGUE["encoder_offset"].plausible({}, {"offset": 0.2})
+    assert CATALOGUE["encoder_offset"].plausible({}, {"offset": 0.2})
     with sensitivity.changed(NUMBERS["model/effects/payload: _LEAST_RADIUS"], 0.5):
         assert payload._LEAST_RADIUS == 0.025
     assert payload._LEAST_RADIUS == 0.05

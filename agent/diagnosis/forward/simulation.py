@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.diagnosis.extension import extended_model
-from agent.estimation import FilterSettings, Motion, motions, smooth_and_differentiate
+from agent.estimation import FilterSettings, Motion, bands, motions, smooth_and_differentiate
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, NominalModel, effect_torque
 from agent.simulators import ForwardSimulation, RigidActuation, ServoGains
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: Simulated duration per log, at most [s]; a simulation costs about a tenth of the motion's time.
 LONGEST = 10.0
 _ROUNDS = 2
-_POSITION_GAIN = 30.0  # 1/s
+_TRANSITION = 0.01  # numerical: of the highest speed, over which plain friction changes sign
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ class _Arm:
             if term.form in friction:
                 friction[term.form][term.axle] = max(value, 0.0)
         speed = np.abs(np.gradient(self.set_points, 1 / motion.rate, axis=0) @ self._coupling.T)
-        self._friction = {**friction, "transition": np.maximum(1e-2 * speed.max(axis=0), 1e-6)}
+        self._friction = {**friction, "transition": np.maximum(_TRANSITION * speed.max(axis=0), 1e-6)}
         bodies = np.mean([np.diag(self._reference.solid.mass_matrix(q)) for q in self.set_points[::500]], axis=0)
         self._inertia = bodies + robot.gear_ratios**2 * self._rotors
 
@@ -184,8 +184,7 @@ class _Arm:
     def motion_of(self, position: np.ndarray) -> dict[str, Any]:
         """Smooth motion along positions (S, n), as effects take it."""
         motion = self._motion
-        stop = min(1.5 * motion.pass_edge, 0.47 * motion.rate)
-        q, qd, qdd = smooth_and_differentiate(position, motion.rate, min(motion.pass_edge, 0.8 * stop), stop)
+        q, qd, qdd = smooth_and_differentiate(position, motion.rate, *bands(motion.rate, motion.cutoff))
         return {"time": motion.time, "q": q, "qd": qd, "qdd": qdd, "log": self._number}
 
     def _gains(self) -> ServoGains:
@@ -194,6 +193,6 @@ class _Arm:
         speed = np.gradient(self.set_points, 1 / motion.rate, axis=0)
         energy = np.maximum(np.sum(speed**2, axis=0), 1e-12)
         late = np.maximum(np.sum((self.set_points - motion.q) * speed, axis=0) / energy - 1 / motion.rate, 0.0)
-        gain = np.minimum(_POSITION_GAIN, 1 / np.maximum(late, 1e-9))
         usual = ServoGains.tuned(self._inertia, np.full(len(late), np.inf))
+        gain = np.minimum(usual.position, 1 / np.maximum(late, 1e-9))
         return replace(usual, position=gain, feedforward=1 - gain * late)

@@ -25,14 +25,13 @@ from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.forward.interval import expected_range
 from agent.diagnosis.forward.rollout import Drive, RolloutEngine, at_motors, engine
 from agent.diagnosis.forward.simulation import shortened
+from agent.diagnosis.limits import LIMITS
 from agent.estimation import FilterSettings, Motion, motions
 from agent.model import PAYLOAD, ModelEffect
 from agent.simulators import Simulator, write_corrected, written_files
 
 _HORIZONS = (0.2, 0.5, 1.0, 2.0)  # s
 _WINDOWS = 24  # at most, over all motions
-_DESCRIBED = 0.95  # of the torque's variance, by the servo on every joint, on the last third of the motion
-_WORSE = 1.1  # times the drift as given, to where the corrected simulator drifts as far
 _RUNS_AWAY = np.pi  # rad, rad/s or m: upper bound of an error
 
 
@@ -131,13 +130,13 @@ def _servo(parts: Sequence[Motion]) -> np.ndarray | None:
         return None
     motion = max(parts, key=lambda m: len(m.time))
     assert motion.torque is not None
-    split, gains = 2 * len(motion.time) // 3, []
+    split, gains = len(motion.time) // 2, []
     for joint in range(motion.q.shape[1]):
         columns, torque = _features(motion, joint), motion.torque[:, joint]
         size = np.maximum(np.abs(columns).max(axis=0), 1e-12)
         found = np.linalg.lstsq(columns[:split] / size, torque[:split], rcond=1e-9)[0] / size
         left = np.var(torque[split:] - columns[split:] @ found)
-        if found[0] <= 0 or found[1] < 0 or left > (1 - _DESCRIBED) * np.var(torque[split:]):
+        if found[0] <= 0 or found[1] < 0 or left > LIMITS.negligible * np.var(torque[split:]):
             return None
         gains.append(found)
     return np.array(gains)
@@ -163,11 +162,16 @@ def _drive(window: ForwardWindow, servo: np.ndarray | None, entries: Sequence[Mo
 
 def _recorded(motion: Motion, first: int, torque: np.ndarray) -> Drive:
     def drive(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        place = min(first + time * motion.rate, len(torque) - 1.001)
-        low, share = int(place), place - int(place)
+        low, share = _between(first + time * motion.rate, len(torque))
         return np.asarray((1 - share) * torque[low] + share * torque[low + 1])
 
     return drive
+
+
+def _between(place: float, count: int) -> tuple[int, float]:
+    """Sample before a place among `count`, and the share of the one after it."""
+    low = min(int(place), count - 2)
+    return low, min(place - low, 1.0)
 
 
 def _following(motion: Motion, first: int, servo: np.ndarray) -> Drive:
@@ -180,8 +184,7 @@ def _following(motion: Motion, first: int, servo: np.ndarray) -> Drive:
 
     def drive(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         nonlocal integral, before
-        place = min(first + time * motion.rate, len(r) - 1.001)
-        low, share = int(place), place - int(place)
+        low, share = _between(first + time * motion.rate, len(r))
         now, speed, bend = ((1 - share) * part[low] + share * part[low + 1] for part in (r, rd, rdd))
         integral = integral + (now - q) * (time - before)
         before = time
@@ -223,7 +226,9 @@ def forward_warning(result: dict[str, Any]) -> str:
     """Warning if the corrected simulator drifts further than the given one; empty otherwise."""
     before, after = (np.sqrt(np.mean(np.array(result[side]) ** 2, axis=1)) for side in ("before", "after"))
     worse = [
-        f"{seconds:g} s" for seconds, a, b in zip(result["horizon_s"], after, before, strict=True) if a > _WORSE * b
+        f"{seconds:g} s"
+        for seconds, a, b in zip(result["horizon_s"], after, before, strict=True)
+        if a > LIMITS.alike * b
     ]
     if not worse:
         return ""

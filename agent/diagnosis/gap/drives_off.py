@@ -14,6 +14,7 @@ import numpy as np
 from agent.core import InputError
 from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.model import IdentifiedModel
 from agent.recording import Log
@@ -22,13 +23,11 @@ from agent.simulators import SIMULATOR
 
 _STANDS = 0.01  # rad or m: brakes give
 _LEAST = 1.0  # s
-_BLOCKS = 8  # whose means scatter as far as slow noise has it
-_CERTAIN = 3.0  # standard errors
 _OUTLIER = 5.0  # standard errors: a log of another day says no more against any hypothesis
 _SWINGS = 0.05  # of nominal torque, standard deviation: a channel without current shows its noise
-_HOLDS, _LOADED = 0.3, 0.02  # of the torque that holds the arm: so near to it; and of nominal torque, where it tells
+_HOLDS = 0.3  # of the torque that holds the arm: so near to it
 _BEYOND = 1.0  # of nominal torque: no zero of a channel
-_NOTABLE = 0.02  # of nominal torque
+_NOTABLE = 0.02  # of nominal torque: more shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +57,10 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
         )
     if log.effort is None:
         raise InputError(f"{log.name}: has no torque, so it does not say what the channels show with the drives off")
-    if log.t[-1] - log.t[0] < _LEAST or len(log.t) < 2 * _BLOCKS:
+    if log.t[-1] - log.t[0] < _LEAST or len(log.t) < LIMITS.fewest:
         raise InputError(
             f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record {_LEAST:g} s "
-            f"and {2 * _BLOCKS} samples at least"
+            f"and {LIMITS.fewest} samples at least"
         )
     for joint, travel in zip(robot.joints, np.ptp(log.position, axis=0), strict=True):
         if travel > _STANDS:
@@ -70,9 +69,9 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
                 f"{log.name}: {joint.name} moves by {travel:.2g} {unit}: with the drives off the brakes hold an arm"
             )
     _check_off(robot, log, model)
-    means = np.array([block.mean(axis=0) for block in np.array_split(log.effort, _BLOCKS)])
+    means = np.array([block.mean(axis=0) for block in np.array_split(log.effort, LIMITS.blocks)])
     off = np.ptp(log.effort, axis=0) == 0
-    torque, error = means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(_BLOCKS)
+    torque, error = means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(LIMITS.blocks)
     return ChannelZero(np.where(off, np.nan, torque), np.where(off, np.nan, error))
 
 
@@ -100,7 +99,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     still = np.zeros((1, robot.dof))
     torque, friction = model.predict_parts(log.position.mean(axis=0)[None], still, still)
     held = (torque - friction)[0]
-    loaded = np.abs(held) > _LOADED * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
+    loaded = np.abs(held) > _NOTABLE * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
     left = np.linalg.norm((mean - _known_offsets(model) - held)[loaded])
     if loaded.any() and left < _HOLDS * np.linalg.norm(held[loaded]):
         names = ", ".join(np.array(robot.joint_names)[loaded])
@@ -142,13 +141,13 @@ def said_by_zero(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) 
         if np.isnan(seen):
             if joint in offsets:
                 said.append(f"the torque channel of {entry.name} is off with its drive, so it settles nothing")
-        elif _CERTAIN * zero.error[joint] > offsets.get(joint, np.inf):
+        elif LIMITS.deviations * zero.error[joint] > offsets.get(joint, np.inf):
             said.append(f"with the drives off the torque of {entry.name} is too restless to show an offset")
         elif joint in offsets:
             said.append(
                 f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}: its channel has an offset"
             )
-        elif min(abs(seen), abs(seen - before[joint])) > _CERTAIN * zero.error[joint] + least:
+        elif min(abs(seen), abs(seen - before[joint])) > LIMITS.deviations * zero.error[joint] + least:
             said.append(
                 f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}, and in motion no offset of its "
                 "channel was found: was it recorded on the same day, by the same channel, with the drives off?"

@@ -12,21 +12,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, known_effects
 from agent.diagnosis.rows.fit import Fit
 
 _WINDOWS = (0.05, 0.1, 0.2, 0.4, 0.8)  # s
-_SAMPLES = 5  # of half a window, at least
-_CERTAIN = 3.0  # standard deviations
-_FOLLOWS = 0.1  # of the change of the model's torque: one that holds its value follows less
-_MOVING = 1 / 3  # of the rows of either half
-_MAD = 0.6745  # of a standard deviation, for normal noise
-_MATTERS = 0.05  # of the energy of the stretch that has most
-_SHORTEST = 0.2  # s in all: less may be chance, of some ten thousand windows
-_AT_LIMIT = 0.05  # of its size below the largest torque: it is cut off there
-_HIGHEST = 4.0  # times its deviation, of noise in ten thousand samples
+_QUARTILE = float(ndtri(3 / 4))  # derived: half of normal errors are smaller, in standard deviations
 SAME_MOTIONS = "the same motions"  # to record again
 
 
@@ -85,10 +79,10 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
         stretches = _of_joint(dataset, joint, [torque[:, joint] for torque in predicted], excess[:, joint])
         energy = sum(stretch.energy for stretch in stretches)
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
-        if torque < LIMITS.practical_torque or energy < LIMITS.most * whole:
+        if torque < LAW.practical or energy < LIMITS.most * whole:
             continue
-        large = [s for s in stretches if s.energy > _MATTERS * max(s.energy for s in stretches)]
-        if sum(stretch.duration for stretch in large) < _SHORTEST:
+        large = [s for s in stretches if s.energy > LIMITS.negligible * max(s.energy for s in stretches)]
+        if sum(stretch.duration for stretch in large) < 2 * LIMITS.independent:  # less may be chance
             continue
         if largest is None or energy / whole > largest.share:
             largest = _held(name, large, energy / whole)
@@ -107,7 +101,7 @@ class _Stretch:
 
 def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque:
     """Text about the stretches that matter."""
-    at_limit = all(stretch.below < _AT_LIMIT * stretch.size for stretch in stretches)
+    at_limit = all(stretch.below < LIMITS.negligible * stretch.size for stretch in stretches)
     limit = float(np.median([stretch.size for stretch in stretches])) if at_limit else None
     return HeldTorque(joint, len(stretches), max(stretch.duration for stretch in stretches), limit, share)
 
@@ -123,11 +117,12 @@ def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], exc
         assert log.effort is not None
         inside = (log.t >= time[0]) & (log.t <= time[-1])
         stamps, torque = log.t[inside], log.effort[inside, joint]
-        if len(stamps) < 2 * _SAMPLES:
+        if len(stamps) < LIMITS.fewest:
             continue
         rests = np.interp(stamps, time, dataset.fit.near_rest[rows, joint].astype(float)) > 0
         flags = _stands_still(stamps, torque, np.interp(stamps, time, by_model), rests, background)
-        largest = float(np.abs(torque).max()) - _HIGHEST * _noise(torque)
+        highest = np.sqrt(2 * np.log(len(torque))) * _noise(torque)  # of as many samples of normal noise
+        largest = float(np.abs(torque).max() - highest)
         for first, last in _runs(flags):
             begin, end = stamps[first], stamps[last - 1]
             energy = float(excess[rows][(time >= begin) & (time <= end)].sum())
@@ -149,12 +144,12 @@ def _stands_still(
         for column in (torque - torque.mean(), (torque - torque.mean()) ** 2, moving, moving * predicted)
     )
     for half in sorted({int(window * rate / 2) for window in _WINDOWS}):
-        if half < _SAMPLES or 2 * half >= len(time):
+        if 2 * half < LIMITS.fewest or 2 * half >= len(time):
             continue
         a = np.arange(len(time) + 1 - 2 * half)
         b, c = a + half, a + 2 * half
         first, second = of_moving[b] - of_moving[a], of_moving[c] - of_moving[b]
-        enough = (first > _MOVING * half) & (second > _MOVING * half)
+        enough = (first > LIMITS.most * half) & (second > LIMITS.most * half)
         expected = (of_predicted[c] - of_predicted[b]) / np.maximum(second, 1) - (
             of_predicted[b] - of_predicted[a]
         ) / np.maximum(first, 1)
@@ -162,9 +157,9 @@ def _stands_still(
         mean = (of_torque[c] - of_torque[a]) / (2 * half)
         spread = (of_square[c] - of_square[a]) / (2 * half) - mean**2
         error = noise * np.sqrt(2 / half)
-        should = enough & (np.abs(expected) > max(2 * _CERTAIN * error, _CERTAIN * background))
-        flat = spread <= noise**2 * (1 + _CERTAIN / np.sqrt(half)) + 1e-12 * of_square[-1] / len(time)
-        stands = should & flat & (np.abs(change) < _FOLLOWS * np.abs(expected) + _CERTAIN * error)
+        should = enough & (np.abs(expected) > LIMITS.deviations * max(2 * error, background))
+        flat = spread <= noise**2 * (1 + LIMITS.deviations / np.sqrt(half)) + 1e-12 * of_square[-1] / len(time)
+        stands = should & flat & (np.abs(change) < LIMITS.negligible * np.abs(expected) + LIMITS.deviations * error)
         np.add.at(starts, a[stands], 1)
         np.add.at(starts, c[stands], -1)
     return np.cumsum(starts)[:-1] > 0
@@ -175,8 +170,8 @@ def _noise(torque: np.ndarray) -> float:
     change = np.abs(np.diff(torque))
     median = float(np.median(change))
     if median > 0:
-        return median / (_MAD * np.sqrt(2))
-    usual = change[change <= 3 * np.quantile(change, 0.9)]
+        return median / (_QUARTILE * np.sqrt(2))
+    usual = change[change <= LIMITS.deviations * np.quantile(change, LAW.certain)]
     return float(np.sqrt(np.mean(usual**2) / 2))
 
 

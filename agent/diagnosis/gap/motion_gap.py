@@ -22,8 +22,10 @@ from agent.recording import Log
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
+_RATES = np.linspace(0.94, 1.06, 9)  # numerical: where the fit of a rate may start
+_BLENDS = 26  # times that are tried, `path_time` apart
+_ROWS = 3000  # numerical: of a log, for the fit of rate and shift
 _REST = 0.006  # s: the shortest standstill of set-points that is a stop
-_SHORTEST = 10  # samples of a way that can be run at another rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,7 @@ def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
         if log.planned_position is None or log.reference_position is None:
             return None
         good = np.all(np.isfinite(log.planned_position) & np.isfinite(log.reference_position), axis=1)
-        if good.sum() < 10:
+        if good.sum() < LIMITS.fewest:
             return None
         pairs.append(_Pair(log.t[good], log.planned_position[good], log.reference_position[good]))
     before = _rms([pair.executed - pair.planned for pair in pairs])
@@ -106,7 +108,7 @@ class _Pair:
 
         cuts = np.searchsorted(self.time, self.starts)
         return [
-            (time, planned, CubicSpline(time, planned) if len(time) >= _SHORTEST else None)
+            (time, planned, CubicSpline(time, planned) if len(time) >= LIMITS.fewest else None)
             for time, planned in zip(np.split(self.time, cuts), np.split(self.planned, cuts), strict=True)
         ]
 
@@ -136,7 +138,7 @@ def _after_stops(pair: _Pair) -> np.ndarray:
     if not len(changes):
         return np.empty(0)
     again = changes[np.flatnonzero(np.diff(changes) > round(_REST / period)) + 1]
-    gaps = np.flatnonzero(np.diff(pair.time) > 1.5 * period) + 1
+    gaps = np.flatnonzero(np.round(np.diff(pair.time) / period) > 1) + 1
     return np.asarray(pair.time[np.union1d(again, gaps)])
 
 
@@ -163,21 +165,21 @@ def _fit(pair: _Pair) -> tuple[float, float, float]:
     """Rate, shift and blend of one log: a coarse grid of rates, then least squares."""
     from scipy.optimize import least_squares
 
-    step = slice(None, None, max(1, len(pair.time) // 3000))
+    step = slice(None, None, max(1, len(pair.time) // _ROWS))
     thin = replace(pair, time=pair.time[step], planned=pair.planned[step], executed=pair.executed[step])
-    size = np.maximum(np.std(thin.planned, axis=0), 1e-3)
+    size = np.maximum(np.std(thin.planned, axis=0), LIMITS.least_travel)
 
     def error(x: np.ndarray) -> np.ndarray:
         return ((_executed(thin, x[0], x[1], 0.0) - thin.executed) / size).ravel()
 
     start = min(
-        ((rate, shift) for rate in (0.94, 0.97, 0.985, 1.0, 1.015, 1.03, 1.06) for shift in (-0.02, 0.0, 0.02)),
+        ((rate, shift) for rate in _RATES for shift in 2 * LIMITS.path_time * np.array([-1, 0, 1])),
         key=lambda x: float(np.sum(error(np.array(x)) ** 2)),
     )
-    rate, shift = least_squares(error, start, x_scale=(1e-3, 1e-3), max_nfev=60).x
-    blends = (0.0, 0.01, 0.02, 0.04, 0.06, 0.1, 0.15, 0.25)
+    rate, shift = least_squares(error, start).x
+    blends = LIMITS.path_time * np.arange(_BLENDS)
     blend = min(blends, key=lambda w: float(np.sum((_executed(pair, rate, shift, w) - pair.executed) ** 2)))
-    return float(rate), float(shift), blend
+    return float(rate), float(shift), float(blend)
 
 
 def _floor(logs: Sequence[Log], errors: Sequence[np.ndarray]) -> np.ndarray | None:

@@ -8,16 +8,17 @@ from functools import cache
 import numpy as np
 
 from agent.diagnosis.document import RegimeShare
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.model import regime_masks, standstill_speed
 
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
 
-_LEAST_SHARE = 0.05
-_RESAMPLED = 200
-_ENDS = (0.05, 0.95)
-_PHASES = 12
+_RESAMPLED = 200  # numerical: draws of a bootstrap
+_ENDS = (1 - LAW.certain, LAW.certain)
+_REPEATS = 3  # turns of a motor that show its phase, and parts of a log without cycles
+_PHASES = 12  # numerical: of a motor's turn
 
 
 def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0) -> tuple[RegimeShare, ...]:
@@ -39,7 +40,7 @@ def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0)
     phase = motor_phase_share(dataset, error, joint)
     if phase is not None:
         found.append(RegimeShare("motor_phase", phase, None, 1.0))
-    return tuple(sorted((entry for entry in found if entry.share >= _LEAST_SHARE), key=lambda entry: -entry.share))
+    return tuple(sorted((entry for entry in found if entry.share >= LIMITS.negligible), key=lambda entry: -entry.share))
 
 
 def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray) -> np.ndarray:
@@ -92,7 +93,7 @@ def motor_phase_share(dataset: Dataset, error: np.ndarray, joint: int) -> float 
     speed = gear * np.abs(np.concatenate([s.axles.speed[s.kept, joint] for s in dataset.fit.signals]))
     slow = np.isfinite(error) & (speed < np.pi * dataset.cutoff) & (speed > 0)
     turns = float(np.sum(speed[slow])) / dataset.rate / (2 * np.pi)
-    if turns < 3:
+    if turns < _REPEATS:
         return None
     phase = (np.mod(angle[slow], 2 * np.pi) / (2 * np.pi) * _PHASES).astype(int) % _PHASES
     left = error[slow] - np.mean(error[slow])
@@ -114,7 +115,7 @@ def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:
         what = "cycle"
         if len(starts) < 2:
             first = dataset.time[here].min()
-            starts, what = [first + k * (last - first) / 3 for k in range(3)], "third"
+            starts, what = np.linspace(first, last, _REPEATS, endpoint=False), "third"
         for k, (start, end) in enumerate(zip(starts, [*starts[1:], np.inf], strict=True)):
             yield f"{what} {k + 1} of {log.name}", here & (dataset.time >= start) & (dataset.time < end)
 

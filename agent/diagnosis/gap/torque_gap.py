@@ -67,7 +67,7 @@ def closure(before: np.ndarray, worse: np.ndarray, better: np.ndarray, floor: np
     """(W² − A²) / (B² − F²) of errors per joint (n,), `worse` W to `better` A; None where there is nothing to close."""
     b = np.mean(before**2)
     f = 0.0 if floor is None else float(np.mean(floor**2))
-    if b < LIMITS.no_closure**2 * f or b <= 0:
+    if b < LIMITS.alike**2 * f or b <= 0:
         return None
     return float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
 
@@ -109,11 +109,11 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndar
         time, rows = dataset.time[here], left[here]
         good = ~np.isnan(rows[:, 0])
         time, rows = time[good], rows[good]
-        if len(time) < 10:
+        if len(time) < LIMITS.fewest:
             continue
         for a, b in pairwise(starts):
             at = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
-            if len(at) < 10:
+            if len(at) < LIMITS.fewest:
                 continue
             first = np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
             second = np.stack([np.interp(at + b - a, time, column) for column in rows.T], axis=1)

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.linalg.lapack import dtrtrs
 
-from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
+from agent.diagnosis.hypotheses.law import LAW, POWER, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidateBlock, CandidateMoments
 from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
@@ -37,7 +37,7 @@ from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
 
 _LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
-_POWER = 0.84  # standard deviations that 80 % of draws exceed
+_ROUNDS = 3  # numerical: of scales and sizes, one more where nothing is known
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,8 @@ class Evidence:
             self.usual[one.candidate.place] = max(size, self.usual.get(one.candidate.place, 0.0))
         self._baseline = {one.candidate.place: one for one in healthy or () if one.mean is not None}
         self.pool = CandidateMoments(noise)
-        self._moments = lru_cache(maxsize=4 * self.joints)(self.pool.moments)  # the scales are fitted in rounds
+        rounds = _ROUNDS + 1  # in which the scales are fitted
+        self._moments = lru_cache(maxsize=rounds * self.joints)(self.pool.moments)
         self._index, self._pull = list(fit.index), fit.shift
         self._friction = _of_the_day(fit)
         self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
@@ -213,7 +214,7 @@ class Evidence:
         touched = {j for k in effects for j in self.pool.candidate(k).blocks} | set(free)
         if refit and self._nothing:  # a large effect raises the scales, and the noise model would then explain it
             scales[list(touched)] = np.minimum(scales[list(touched)], 1.0)
-        rounds = 3 if self._nothing else 4
+        rounds = _ROUNDS + (self._nothing is None)
         for last in [False] * rounds + [True]:
             precision, side, joints, ends = self._together(effects, free, scales, form, sizes)
             mean, log_det = _solved(precision, side)
@@ -373,7 +374,7 @@ class Evidence:
                 cost = np.array([self._cost(bank.candidates[k]) + self.needed(True) for k in which])
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
                 log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
-                sizes[which] = (_POWER + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
+                sizes[which] = (POWER + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
             found += sizes.tolist()
         return found
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from scipy.special import ndtri
+
 from agent.diagnosis.limits import known
 
 
@@ -37,10 +39,17 @@ class EvidenceLaw:
         0.003, "nominal torque", "smallest effect worth a name, in the log with most of it", "chosen"
     )
     sure: float = known(0.6, "probability", "of a class that is named: a wrong name costs 1.5 abstentions", "chosen")
+    detected: float = known(
+        0.8, "probability", "with which an effect of the smallest detectable size is named", "chosen"
+    )
     most: int = known(3, "effects", "in one hypothesis", "chosen")
     certain: float = known(
-        0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "derived: 5 %"
+        0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "chosen: 5 %"
     )
 
 
 LAW = EvidenceLaw()
+#: Standard deviations either way that hold 90 % of normal errors: `certain` on each side.
+WITHIN = float(ndtri(LAW.certain))
+#: Standard deviations that the smallest detectable size exceeds the threshold by.
+POWER = float(ndtri(LAW.detected))

@@ -20,9 +20,9 @@ from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
 from agent.simulators import SIMULATOR
 
-_ROWS = 0.016  # s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
-_FORM = 100.0  # of σ² per noise column, at most, for a wrong parameterisation: moments are of float32 columns
-_NOTICED = 0.01  # energy over σ² of a direction of the noise model that is kept; with 0.001 and 0.1 the same verdicts
+_ROWS = 0.016  # numerical: s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
+_FORM = 100.0  # numerical: of σ² per noise column for a wrong form, at most: moments are of float32 columns
+_NOTICED = 0.01  # numerical: energy over σ² of a direction of the noise model that is kept
 _DRIFT = 3.0  # s between the nodes of a drift in time
 _TURNING = 0.03  # of the highest speed, over which friction turns around
 

@@ -9,7 +9,7 @@ import numpy as np
 from agent.diagnosis.hypotheses.noise_model import NoiseModel
 from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 
-_AT_ONCE = 64  # candidates whose own moments are worked out together
+_AT_ONCE = 64  # numerical: candidates whose own moments are worked out together
 
 
 class CandidateBlock:

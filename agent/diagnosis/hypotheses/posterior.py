@@ -24,7 +24,7 @@ from agent.diagnosis.rows.candidate import HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 
-_LISTED = 100  # hypotheses that a finding keeps
+_LISTED = 100  # numerical: hypotheses that a finding keeps
 _RIVALS = 2  # that a class lists next to its cause
 
 #: Log likelihood of something else that was observed, given a hypothesis.

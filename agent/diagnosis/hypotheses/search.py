@@ -17,10 +17,10 @@ from agent.diagnosis.rows.needs import MotionCoverage
 from agent.model import CATALOGUE
 
 _LEADERS = 8  # hypotheses whose nonlinear parameters are refined
-_FIRST, _THEN = 12, 6  # hypotheses that are evaluated after nothing, and after another hypothesis
-_FORMS = 3  # parameterisations per hypothesis
-_EXTENDED = (3, 2)  # hypotheses that one more effect is tried with, by how many they have
-_FACTORS = (1.25, 1.1, 1.04, 1.015)  # of nonlinear parameters, up and down
+_FIRST, _THEN = 12, 6  # numerical: hypotheses that are evaluated after nothing, and after another hypothesis
+_FORMS = 3  # numerical: parameterisations per hypothesis
+_EXTENDED = (3, 2)  # numerical: hypotheses that one more effect is tried with, by how many they have
+_FACTORS = (1.25, 1.1, 1.04, 1.015)  # numerical: of nonlinear parameters, up and down
 
 Key = tuple[frozenset[HypothesisKey], frozenset[int]]
 

@@ -15,8 +15,8 @@ HypothesisKey = tuple[str, tuple[int, ...]]
 #: Effect, joints and nonlinear parameters of a candidate that is asked for.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 
-_AT_ONCE = 16  # columns filtered together, so that they stay in the cache
-_TOGETHER = 64  # candidates made together: their intermediate arrays take as much memory as they do
+_AT_ONCE = 16  # numerical: columns filtered together, so that they stay in the cache
+_TOGETHER = 64  # numerical: candidates made together: their intermediate arrays take as much memory as they do
 
 
 @dataclass(frozen=True, eq=False)

@@ -203,7 +203,7 @@ def noise_level(
     signals: Sequence[MotionSignals],
     beside: Sequence[MotionSignals] = (),
 ) -> np.ndarray:
-    """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill (`LIMITS.near_rest`).
+    """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill (`LIMITS.independent`).
 
     At a standstill, stiction allows any torque below the Coulomb level.
     `beside`: see `standing`.
@@ -212,7 +212,7 @@ def noise_level(
     found = standing(signals, beside)
     rest = np.concatenate([still[s.kept] for s, still in zip(signals, found, strict=True)])
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-    reach = int(LIMITS.near_rest * rate)
+    reach = int(0.5 * LIMITS.independent * rate)
     near = rest.copy()
     for shift in range(1, reach + 1):
         near[shift:] |= rest[:-shift]

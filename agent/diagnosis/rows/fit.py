@@ -20,12 +20,11 @@ from typing import Any
 
 import numpy as np
 
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates
 from agent.diagnosis.rows.moments import FitMoments
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import Effect, MotionSignals, NominalModel
-
-_INDEPENDENT = 0.1  # s between independent rows
 
 
 class Fit:
@@ -58,7 +57,7 @@ class Fit:
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
-        self.repeat = max(1.0, _INDEPENDENT * rate)
+        self.repeat = max(1.0, LIMITS.independent * rate)
         self.rests = StandstillWhitening.of(self.signals, self.repeat) if rests is None else rests
         self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
         self.cells, self.count = self._moments.cells, self._moments.count
@@ -154,7 +153,7 @@ class Fit:
     @property
     def near_rest(self) -> np.ndarray:
         """(S', n) bool: rows so near to a standstill of their joint that stiction may leave the torque open."""
-        return (self.sigma > 1.01 * self.sigma.min(axis=0)) | self.rests.inside(len(self.sigma))
+        return (self.sigma > (1 + 1e-6) * self.sigma.min(axis=0)) | self.rests.inside(len(self.sigma))
 
     @property
     def residuals(self) -> list[np.ndarray]:

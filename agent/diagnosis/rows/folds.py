@@ -12,14 +12,12 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Fold
 from agent.recording import PARTS, Log
 
-_BLOCKS = 5  # of one log without cycles
 _MOVES = 0.01  # of a joint's highest speed in a log, from where on it moves
-_STANDS = 0.05  # of the way that a joint goes in the log where it goes furthest: less is none
 
 
 def folds_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[Fold], list[Fold]]:
     """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
-    parity = (time / LIMITS.parity).astype(int) % 2
+    parity = (time / LIMITS.independent).astype(int) % 2
     group, names = _motions(time, log, logs) if len(logs) > 1 else _blocks(time, logs[0])
     cell = np.where(group >= 0, 2 * group + parity, -1)
     count = 2 * (int(group.max()) + 1)
@@ -45,7 +43,7 @@ def _motions(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np
         here = log == number
         borders = part_borders(entry, 2 if number in alone else 1)
         since = time[here]
-        near = np.any(np.abs(since[:, None] - borders) < LIMITS.guard, axis=1)
+        near = np.any(np.abs(since[:, None] - borders) < 2 * LIMITS.independent, axis=1)
         group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since))
         edges = [0.0, *borders, float(entry.t[-1])]
         names += [f"{entry.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)] if len(borders) else [entry.name]
@@ -55,7 +53,7 @@ def _motions(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np
 def _alone(logs: Sequence[Log]) -> set[int]:
     """Logs, by number, that are the only ones in which some joint moves, of several."""
     travel = np.array([np.ptp(entry.position, axis=0) for entry in logs])  # (logs, n)
-    moves = travel > _STANDS * travel.max(axis=0)
+    moves = travel > LIMITS.negligible * travel.max(axis=0)
     return {int(np.flatnonzero(moves[:, joint])[0]) for joint in np.flatnonzero(moves.sum(axis=0) == 1)}
 
 
@@ -63,7 +61,7 @@ def part_borders(log: Log, least: int = 1) -> np.ndarray:
     """(parts - 1,) [s] between the parts of a log that says it has some, or the `least` that it is to have: all have
     the same time in motion."""
     said = log.metadata.get(PARTS, "1")
-    parts = max(min(int(said), _BLOCKS) if said.isdigit() else 1, least)
+    parts = max(min(int(said), LIMITS.blocks) if said.isdigit() else 1, least)
     if parts < 2:
         return np.empty(0)
     speed = np.abs(np.diff(log.position, axis=0))
@@ -83,11 +81,11 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
         )
     inside = starts[(starts > first) & (starts < last)]
     if len(inside) >= 2:
-        borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), 5)).astype(int)]
+        borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), LIMITS.blocks)).astype(int)]
     else:
-        borders = np.linspace(first, last, _BLOCKS + 1)[1:-1]
+        borders = np.linspace(first, last, LIMITS.blocks + 1)[1:-1]
     group = np.searchsorted(borders, time)
-    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < LIMITS.guard
+    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < 2 * LIMITS.independent
     edges = [first, *borders, last]
     names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
     return np.where(near, -1, group), names

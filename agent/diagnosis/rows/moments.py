@@ -11,7 +11,7 @@ import numpy as np
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.standstill import StandstillWhitening
 
-_AT_ONCE = 25  # candidates worked out together: what fits into memory that the C library keeps
+_AT_ONCE = 25  # numerical: candidates worked out together: what fits into memory that the C library keeps
 
 
 class FitMoments:

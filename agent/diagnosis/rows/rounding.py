@@ -9,8 +9,10 @@ import numpy as np
 from agent.model import NominalModel
 from agent.recording import Log
 
-_POSTURES = 20  # of a log, for its mean inertia
+_POSTURES = 20  # numerical: of a log, for its mean inertia
 _ON_GRID = 0.01  # steps off the grid that count as on it
+_UNIFORM = 1 / 12  # derived: variance of an error within half a step, in steps squared
+_FIFTH = 1 / 5  # derived: ∫₀¹ x⁴ dx
 
 
 def rounding_noise(reference: NominalModel, logs: Sequence[Log], cutoff: float) -> np.ndarray:
@@ -24,7 +26,7 @@ def rounding_noise(reference: NominalModel, logs: Sequence[Log], cutoff: float) 
     largest = np.zeros(reference.robot.dof)
     for log in logs:
         step = np.array([rounding_step(column) for column in log.position.T])
-        variance = step**2 / 12 * (2 / log.sample_rate) * (2 * np.pi) ** 4 * cutoff**5 / 5
+        variance = _UNIFORM * step**2 * (2 / log.sample_rate) * _FIFTH * (2 * np.pi) ** 4 * cutoff**5
         every = max(1, len(log.position) // _POSTURES)
         inertia = np.mean([reference.solid.mass_matrix(q) for q in log.position[::every]], axis=0) + rotors
         noise = inertia**2 @ variance

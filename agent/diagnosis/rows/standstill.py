@@ -36,7 +36,7 @@ def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
     parts = []
     for motion, still in zip(signals, standing(signals), strict=True):
         rate = 1 / float(np.median(np.diff(motion.time)))
-        shortest, reach = max(int(LIMITS.long_rest * rate), 1), int(LIMITS.near_rest * rate)
+        shortest, reach = max(int(LIMITS.independent * rate), 1), int(0.5 * LIMITS.independent * rate)
         begins = _count(still, 0, shortest - 1) == shortest
         long = _count(begins, shortest - 1, 0) > 0
         parts.append((_count(long, reach, reach) > 0)[motion.kept])

@@ -39,20 +39,18 @@ from agent.diagnosis.simulator_file.released_numbers import (
 from agent.diagnosis.simulator_file.reversals import with_reversals
 from agent.diagnosis.verdict import Verdict, causes_of, has_size, named, supported
 from agent.estimation import FilterSettings, resolve_cutoff
-from agent.model import CATALOGUE, IdentifiedModel
+from agent.model import BELOW_ZERO, CATALOGUE, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR
 
 _OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
-_BELOW_ZERO = 0.1  # of a friction level without an effect: by chance, an added effect takes it this far below zero
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
 #: Effects that do not show in motion, or are numbers of servos there.
 _NO_MOTION = tuple(name for name, effect in CATALOGUE.items() if effect.transient or effect.numbers in (GAIN, DELAY))
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
-_AS_GOOD = 1.1  # times the squared error left, to where another choice of numbers is as good
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +97,7 @@ class Explanation:
         if _like_links(self.selected.causes):
             return self.left <= best
         like_load = any(candidate.effect.numbers == "load" for candidate in self.selected.causes)
-        return self.left <= _AS_GOOD * best if like_load else self.left - best <= enough
+        return self.left <= LIMITS.alike * best if like_load else self.left - best <= enough
 
     @property
     def left(self) -> float:
@@ -235,7 +233,7 @@ def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> Releas
         return None
     others = (*causes[:number], *causes[number + 1 :])
     chosen = release(entry.released.given, others)
-    return chosen if _beside(chosen, others, unit) <= _AS_GOOD * entry.left else None
+    return chosen if _beside(chosen, others, unit) <= LIMITS.alike * entry.left else None
 
 
 def _beside(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.ndarray) -> float:
@@ -252,7 +250,7 @@ def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
     base = len(given.independent)
     before, level = fit.reference.model.values[base:], (given.values + change[: len(given.values)])[base:]
     own = [k for k, term in enumerate(given.terms) if term.axle in candidate.joints]
-    drives = all(level[k] >= -_BELOW_ZERO * abs(before[k]) for k in own)
+    drives = all(level[k] >= -BELOW_ZERO * abs(before[k]) for k in own)
     sized = all(values[name] > 0 for name in candidate.effect.sizes)
     return drives and sized and candidate.effect.plausible(candidate.settings, values)
 

@@ -27,9 +27,7 @@ from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
-_EQUAL = 0.9  # of the best gain, from where on the plainer group is taken
 _MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
-_INTERVAL = (5, 95)  # per cent
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
 _GAIN_KNOWN = 0.1  # of a servo's gain, standard deviation from where on positions do not tell it
 #: The remaining gap, as the last step.
@@ -106,7 +104,7 @@ def release(
         gains = [fit.error(fit.transient) - other.error(fit.transient) for other in tried]
         if max(gains) < least:
             break
-        best = next(k for k, gain in enumerate(gains) if gain >= _EQUAL * max(gains))
+        best = next(k for k, gain in enumerate(gains) if LIMITS.alike * gain >= max(gains))
         chosen.append(pool.pop(best))
         fit = tried[best]
     return _moved(dataset, chosen)
@@ -271,7 +269,7 @@ def waterfall(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGa
         return np.concatenate([(values[0] - values[steps + 1 :]) / size, ordered, [1 - ordered.sum(axis=0)]])
 
     closes, drawn_parts = parts(whole), parts(drawn[:, drawn[0] > floor])
-    low, high = np.percentile(drawn_parts, _INTERVAL, axis=1)
+    low, high = np.quantile(drawn_parts, (1 - LAW.certain, LAW.certain), axis=1)
     count = len(texts)
     return tuple(
         WaterfallStep(

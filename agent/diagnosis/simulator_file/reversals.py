@@ -13,11 +13,8 @@ import numpy as np
 
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
-from agent.model import IdentifiedModel, ModelEffect, Reversal
+from agent.model import REVERSAL_TRAVELS, IdentifiedModel, ModelEffect, Reversal
 from agent.simulators import reversal_over
-
-#: Of the range of motion: below, friction changes sign within a sample; above, it hardly slides.
-_TRAVELS = np.geomspace(1e-5, 0.03, 15)
 
 
 def with_reversals(dataset: Dataset) -> IdentifiedModel:
@@ -35,7 +32,7 @@ def with_reversals(dataset: Dataset) -> IdentifiedModel:
             continue
         ends = [(s.axles.position[:, term.axle].min(), s.axles.position[:, term.axle].max()) for s in signals]
         travelled = max(high for _, high in ends) - min(low for low, _ in ends)
-        options = [term.reversal, *(Reversal("travel", float(part * travelled)) for part in _TRAVELS)]
+        options = [term.reversal, *(Reversal("travel", float(part * travelled)) for part in REVERSAL_TRAVELS)]
         share = dataset.robot.coupling[term.axle]
         columns = []
         for reversal in options:

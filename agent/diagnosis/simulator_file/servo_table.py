@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri
 
 from agent.diagnosis.document import Cause
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import (
@@ -18,11 +19,11 @@ from agent.diagnosis.simulator_file.released_numbers import (
     drive_groups,
     released_fit,
 )
+from agent.diagnosis.sizes import jackknife
 from agent.model import CATALOGUE
 
 #: Kinds of numbers, in the order of a result.
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
-_NORMAL = 1.96
 #: Those of a cause, by what the cause changes in a file.
 _NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction")}
 
@@ -47,10 +48,10 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     inverse, _ = wide.solve(np.ones(wide.cells, dtype=bool))
     p = len(dataset.held)
-    spread = _NORMAL * _deviations(dataset, drives, inverse[:p, :p])
+    spread = float(ndtri((1 + LAW.certain) / 2)) * _deviations(dataset, drives, inverse[:p, :p])
     for folds in (wide.folds, wide.single):
         without = [servo_numbers(dataset, drives, wide.fitted(fold)[0]) for fold in folds]
-        spread = np.maximum(spread, _jackknife(np.stack(without)))
+        spread = np.maximum(spread, jackknife(np.stack(without)))
     spread[-1] += 0.5 * servos.step
     free = servo_numbers(dataset, drives, wide.fitted()[0])
     low, high = np.minimum(values, free) - spread, np.maximum(values, free) + spread
@@ -124,11 +125,3 @@ def _inverse(groups: Sequence[Group]) -> np.ndarray:
     size = np.sqrt(np.sum(directions**2, axis=1))
     unit = np.where(size > 0, 1 / np.maximum(size, 1e-300), 0.0)
     return np.asarray(np.linalg.pinv(unit[:, None] * directions, rcond=1e-9) * unit)
-
-
-def _jackknife(values: np.ndarray) -> np.ndarray:
-    """Half of the interval from values (K, …) without one group each."""
-    count = len(values)
-    if count < 2:
-        return np.zeros(values.shape[1:])
-    return np.asarray(stdtrit(max(count - 1, 3), 0.975) * np.sqrt((count - 1) * np.var(values, axis=0)))

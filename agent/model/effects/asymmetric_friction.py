@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, rubs
+from agent.model.effects.effect import SLIDES, Columns, Effect, FitContext, Joints, Numbers, on_axle, rubs
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
 
 
@@ -28,7 +28,7 @@ class AsymmetricFriction(Effect):
     look_at = "one-sided bearing load, seals, preload of a screw or belt"
     units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad"})
     leading = ("coulomb_asymmetry", "viscous_asymmetry")
-    needs_speed = 0.02
+    needs_speed = SLIDES
     needs_reversals = 1
     shapes = ("speed", "position")
     experiment = RAMPS_AND_STANDSTILLS

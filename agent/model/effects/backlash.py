@@ -6,12 +6,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from agent.model.effects.effect import FitContext, Joints, Numbers
+from agent.model.effects.effect import FitContext, Joints, Numbers, near_one
 from agent.model.effects.experiments import SLOW_REVERSALS
-from agent.model.effects.two_mass import TwoMass
+from agent.model.effects.two_mass import DAMPING, TwoMass
 
 _GAPS = np.geomspace(2e-4, 1.3e-2, 11)  # rad
-_FREQUENCIES, _DAMPING = np.geomspace(7.0, 65.0, 10), 0.15  # Hz and ratio of the link while the teeth touch
+_FREQUENCIES = np.geomspace(7.0, 65.0, 10)  # Hz of the link while the teeth touch
 
 
 class Backlash(TwoMass):
@@ -34,12 +34,16 @@ class Backlash(TwoMass):
     why_absent = "no torque reversal in these logs"
     residual_driven = True
     refined = ("gap", "stiffness", "damping")
-    grid = tuple((float(frequency), _DAMPING, float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)
-    few = tuple((frequency, _DAMPING, gap) for frequency in (22.0, 45.0) for gap in (8e-4, 3e-3))
+    grid = tuple((float(frequency), DAMPING[-1], float(gap)) for frequency in _FREQUENCIES for gap in _GAPS)
+    few = grid[1::28]
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         loads = np.concatenate([s.link_load[s.kept, joints[0]] for s in context.signals])
-        return super().settings(context, joints) if np.sum(np.diff(np.sign(loads)) != 0) >= 4 else []
+        return (
+            super().settings(context, joints)
+            if np.sum(np.diff(np.sign(loads)) != 0) >= 2 * self.needs_reversals
+            else []
+        )
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
-        return 0.15 < values["share"] < 4.0
+        return near_one(values["share"])

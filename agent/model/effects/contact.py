@@ -18,23 +18,22 @@ from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numb
 
 _EDGE = 0.15  # share of the duration over which a force rises, and falls
 _LINKS = 3  # links tried for the case that all pushes act on one link
-_DURATIONS = (0.2, 0.3, 0.4, 0.55, 0.75, 1.0, 1.35, 1.8, 2.4, 3.2, 4.2, 6.0, 8.5, 12.0)  # s
-_STARTS = 0.05  # s between starts of windows
+_DURATIONS = np.geomspace(0.2, 12.0, 14).tolist()  # s
+_STARTS = 0.05  # numerical: s between starts of windows
 _MOST_OF_LOG = 0.8  # largest share of its log that a push takes: a longer one is no event
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of this length; factor above it that a push needs
 _SHARP = 100.0  # the same factor for a push that may repeat with the cycle, next to one that does not
 _FROM_START = 20.0  # the same factor for a push that starts with the log, with no quiet time before it
 _CLEARANCE = 2.0  # durations before and after a push in which windows are compared with it
-_BORDER = 0.3  # s after the first sample within which a push counts as starting with the log
-_AGAIN = 0.2  # s by which a repetition may be early or late
+_BORDER = 0.2  # s after the first sample within which a push counts as starting with the log, or as repeating
 _ALONE = 2.0  # factor over the window at the same phase of another cycle
-_MAX_PUSHES, _LEAST_GAIN_RATIO = 30, 0.02  # largest count; least gain over that of the strongest push
+_LEAST_GAIN_RATIO = 0.02  # least gain over that of the strongest push
 _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
-_EDGE_STEPS, _EDGE_PARTS = 8, 40  # steps by which each end moves in the fit; steps per duration
+_EDGE_STEPS, _EDGE_PARTS = 8, 40  # numerical: steps by which each end moves in the fit; steps per duration
 _PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # starts and length of the parts checked for a pause, per duration
 _PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
-_LOOK = 16  # windows that are looked at for a pause together, the strongest first
-_ROUNDS = 30  # alternating fits of force and point
+_LOOK = 16  # numerical: windows that are looked at for a pause together, the strongest first
+_ROUNDS = 30  # numerical: alternating fits of force and point
 _WEAK = 1e-6  # regularisation over the mean information: moving the point along the force changes no torque
 _LARGE = 1 / 3  # size of a link in any direction over the arm's reach, if it is not longer
 
@@ -153,7 +152,7 @@ class PushedWindow:
         start, end = other.start + late, other.start + other.duration + late
         apart = abs(self.start - start), abs(self.start + self.duration - end)
         shared = self.start < end and self.start + self.duration > start
-        return shared and min(apart) > max(_AGAIN, other.duration / _EDGE_PARTS)
+        return shared and min(apart) > max(_BORDER, other.duration / _EDGE_PARTS)
 
     def overlaps(self, starts: np.ndarray, duration: float) -> np.ndarray:
         """(K,) bool: which windows of its log it shares time with."""
@@ -185,7 +184,7 @@ class _Sums:
     def whole(self, starts: np.ndarray, duration: float, gain: np.ndarray, force: np.ndarray) -> np.ndarray:
         """(K,) bool: which forces (K, 3) [N] from `starts` for `duration` [s] pull in the middle of it as well, as far
         as they would show there: else there are two with a pause between."""
-        if duration < 3 * _DURATIONS[0]:
+        if duration * _PART < _DURATIONS[0] / 2:
             return np.ones(len(starts), dtype=bool)
         begin = starts + _PARTS[:, None] * duration  # (P, K)
         moments, pull = self.between(begin, begin + _PART * duration)
@@ -316,7 +315,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     best = [w.strongest for w in windows]
     spans = [(w.log, float(np.ptp(w.starts)) + w.duration) for w in windows if len(w.starts)]
     lasting = sum(max(span for log, span in spans if log == one) for one in {log for log, _ in spans})
-    while len(taken) < _MAX_PUSHES:
+    while True:
         candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
         if not candidates:
             break

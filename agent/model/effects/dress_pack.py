@@ -8,16 +8,23 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
+from agent.model.effects.effect import (
+    BENDS,
+    REVERSAL_TRAVELS,
+    STRONGEST,
+    Columns,
+    Effect,
+    FitContext,
+    Joints,
+    Numbers,
+)
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
 from agent.model.friction_terms import dahl
 from agent.model.passive_forces import Bristles, PassiveForces, spring_near, spring_of
 
 N_NODES = 6
-_STIFFEST = 5.0  # nominal torque per radian
 _BEND = 0.1  # nominal torque: usual deviation from a straight line at a node
-_TRAVELS = (0.002, 0.03)  # of the range over which the hose starts to slide on the arm, or in itself
 
 
 class DressPack(Effect):
@@ -45,7 +52,7 @@ class DressPack(Effect):
         }
     )
     leading = ("stiffness", "constant", "hysteresis")
-    needs_travel = 0.2
+    needs_travel = BENDS
     shapes = ("position",)
     experiment = WHOLE_RANGE
     refined = ("travel",)
@@ -54,14 +61,20 @@ class DressPack(Effect):
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         low = float(min(s.q[:, joints[0]].min() for s in context.signals))
         high = max(float(max(s.q[:, joints[0]].max() for s in context.signals)), low + 1e-9)
-        curve, rubbing = {"low": low, "high": high}, [{"travel": share * (high - low)} for share in _TRAVELS]
+        curve, rubbing = (
+            {"low": low, "high": high},
+            [{"travel": share * (high - low)} for share in REVERSAL_TRAVELS[3::4]],
+        )
         shapes: list[dict[str, float]] = [{}, {"middle": (low + high) / 2, "reach": (high - low) / 2}, curve]
         return [{**shape, **kind} for shape in shapes for kind in ({}, *rubbing)]
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
-        straight = ("constant", "stiffness", *(("quadratic", "cubic") if "middle" in settings else ()))
-        nodes = tuple(f"torque_{k}" for k in range(N_NODES)) if "low" in settings else straight
+        nodes = tuple(f"torque_{k}" for k in range(N_NODES)) if "low" in settings else self._straight(settings)
         return (*nodes, "hysteresis") if "travel" in settings else nodes
+
+    def _straight(self, settings: Numbers) -> tuple[str, ...]:
+        """Coefficients by ascending power."""
+        return ("constant", "stiffness", *(("quadratic", "cubic") if "middle" in settings else ()))
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return values.get("hysteresis", 0.0) >= 0
@@ -73,7 +86,7 @@ class DressPack(Effect):
             parts = signals.remembered(("curve", joints[0], low, high), lambda: _curve(q, low, high))
         else:
             x = q - settings.get("middle", 0.0)
-            parts = [x**power for power in range(4 if "middle" in settings else 2)]
+            parts = [x**power for power, _ in enumerate(self._straight(settings))]
         if "travel" in settings:
             parts = [*parts, dahl(q, np.array([settings["travel"]]))[:, 0]]
         return {joints[0]: np.column_stack(parts)}
@@ -88,9 +101,9 @@ class DressPack(Effect):
         return precision
 
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
-        reach = settings.get("reach", 0.0)
-        bent = 2 * abs(values.get("quadratic", 0.0)) * reach + 3 * abs(values.get("cubic", 0.0)) * reach**2
-        return abs(values.get("stiffness", 0.0)) + bent < _STIFFEST * float(reference.scale[joints[0]])
+        falling = [abs(values.get(name, 0.0)) for name in ("cubic", "quadratic", "stiffness", "constant")]
+        steepest = float(np.polyval(np.polyder(falling), settings.get("reach", 0.0)))
+        return steepest < STRONGEST * float(reference.scale[joints[0]])
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         return linear_spring(values)

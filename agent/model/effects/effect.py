@@ -25,6 +25,15 @@ Joints = tuple[int, ...]
 #: Numbers by name: the nonlinear parameters (`settings`) or the linear ones (`values`) of an effect.
 Numbers = Mapping[str, float]
 
+#: Part of its size by which an estimate of what is never negative may come out below zero.
+BELOW_ZERO = 0.1
+#: Factor by which a fitted share or scale may be off from 1: more is something else.
+MOST_OFF = 3.0
+#: Motion that shows an effect: speed of a joint that slides [rad/s], travel over which torque bends [rad].
+SLIDES, BENDS = 0.02, 0.1
+#: Nominal torque, and per radian: no joint is built against a stronger spring or hose.
+STRONGEST = 10.0
+
 
 class FitContext(Protocol):
     """The data that an effect may use to choose its grid of nonlinear parameters."""
@@ -215,6 +224,29 @@ class Effect(ABC):
         return None
 
 
+def geometric(low: float, high: float) -> tuple[float, ...]:
+    """Grid of a nonlinear parameter from `low` to `high`, in equal steps of at most a factor 2.
+
+    The search refines the best of it (`Effect.refined`), so the ends say what is physical, and the step nothing.
+    """
+    return tuple(np.geomspace(low, high, 1 + int(np.ceil(np.log2(high / low) - 1e-9))).tolist())
+
+
+#: Of a joint's range in the motions: the travel over which friction reverses. Below, it changes sign within a sample;
+#: above, it hardly slides.
+REVERSAL_TRAVELS = geometric(2.5e-4, 0.032)
+#: Of the highest speed: where a friction law bends. Below is how the friction reverses, in which a model and a machine
+#: differ without any effect.
+BENDING_SPEEDS = geometric(0.02, 0.32)
+#: Powers of friction over speed or load that is not proportional to it.
+POWERS = (0.5, 2.0)
+
+
+def near_one(share: float) -> bool:
+    """Whether a fitted share or scale is that of the effect itself."""
+    return 1 / MOST_OFF < share < MOST_OFF
+
+
 def on_axle(reference: NominalModel, axle: int, *columns: np.ndarray) -> Columns:
     """Torques (S,) on one axle as the joints feel them, Cᵀ f."""
     block = np.column_stack(columns)
@@ -225,10 +257,13 @@ def on_axle(reference: NominalModel, axle: int, *columns: np.ndarray) -> Columns
 def rubs(reference: NominalModel, axle: int, **changes: float) -> bool:
     """Whether the model's friction on an axle stays positive when its levels, by form, change by these amounts.
 
-    Tolerates levels down to −10 %, because levels are estimates. Forms that the model lacks are not judged.
+    Tolerates levels down to −10 %, because levels are estimates (`BELOW_ZERO`). Forms that the model lacks are not
+    judged.
     """
     levels = friction_levels(reference, axle)
-    return all(levels[form] + change > -0.1 * abs(levels[form]) for form, change in changes.items() if form in levels)
+    return all(
+        levels[form] + change > -BELOW_ZERO * abs(levels[form]) for form, change in changes.items() if form in levels
+    )
 
 
 def friction_levels(reference: NominalModel, axle: int) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from agent.model.effect_inputs import MotionSignals
-from agent.model.effects.effect import Columns, Effect, Joints, Numbers
+from agent.model.effects.effect import BENDS, Columns, Effect, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.effects.simulator_numbers import SimulatorNumbers
 
@@ -22,7 +22,7 @@ class EncoderOffset(Effect):
     confused_with = ("inertial_mismatch", "gravity_spring", "base_tilt")
     phrase = "the zero position of the joint is off"
     look_at = "the calibration mark of this joint; a motor, belt or encoder that was changed"
-    needs_travel = 0.1
+    needs_travel = BENDS
     units = MappingProxyType({"offset": "rad"})
     leading = ("offset",)
     experiment = WHOLE_RANGE

@@ -29,7 +29,6 @@ class FrictionChange(FrictionLevel):
     )
     units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad"})
     leading = ("coulomb_change", "viscous_change")
-    needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
     not_reported = ("coulomb", "viscous")

@@ -10,10 +10,18 @@ from typing import ClassVar
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
+from agent.model.effects.effect import (
+    REVERSAL_TRAVELS,
+    SLIDES,
+    Columns,
+    Effect,
+    FitContext,
+    Joints,
+    Numbers,
+    on_axle,
+    travelled,
+)
 from agent.model.friction_terms import Reversal
-
-_TRAVELS = (2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3)  # of the joint's range in the motions
 
 
 class FrictionLevel(Effect):
@@ -27,6 +35,7 @@ class FrictionLevel(Effect):
     units: ClassVar[Mapping[str, str]] = MappingProxyType({"reversal_travel": "rad", "reversal_level": "N·m"})
     refined: ClassVar[tuple[str, ...]] = ("reversal_travel",)
     nonlinear: ClassVar[tuple[str, ...] | None] = ("reversal_travel",)
+    needs_speed: ClassVar[float] = SLIDES
 
     def level_names(self, settings: Numbers) -> tuple[str, ...]:
         """Names of the linear parameters without the reversal."""
@@ -50,7 +59,7 @@ class FrictionLevel(Effect):
         if "reversal_travel" in settings:
             return []
         low, high = travelled(context, joints[0])
-        return [{**settings, "reversal_travel": fraction * (high - low)} for fraction in _TRAVELS]
+        return [{**settings, "reversal_travel": fraction * (high - low)} for fraction in REVERSAL_TRAVELS]
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
         own = self.level_names(settings)

@@ -7,12 +7,20 @@ from types import MappingProxyType
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, harmonic_names, harmonics
+from agent.model.effects.effect import (
+    BENDS,
+    STRONGEST,
+    Columns,
+    Effect,
+    FitContext,
+    Joints,
+    Numbers,
+    harmonic_names,
+    harmonics,
+)
 from agent.model.effects.experiments import WHOLE_RANGE
 from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
 from agent.model.passive_forces import PassiveForces, periodic
-
-_STRONGEST = 10.0  # nominal torque: what a joint could not be built against
 
 
 class GravitySpring(Effect):
@@ -34,14 +42,14 @@ class GravitySpring(Effect):
     units = MappingProxyType({"constant": "N·m", "stiffness": "N·m/rad", "cosine": "N·m", "sine": "N·m"})
     leading = ("stiffness", "cosine_1")
     components = ("amplitude", ("cosine_1", "sine_1"))
-    needs_travel = 0.2
+    needs_travel = BENDS
     shapes = ("position",)
     experiment = WHOLE_RANGE
     nonlinear = ()
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         slides = context.reference.robot.joints[joints[0]].prismatic
-        return [{}] if slides else [*({"harmonics": float(h)} for h in (1, 2, 3)), {}]
+        return [{}] if slides else [*({"harmonics": float(h)} for h in range(1, 4)), {}]
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
         if "harmonics" not in settings:
@@ -56,7 +64,7 @@ class GravitySpring(Effect):
 
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
         swing = [value for name, value in values.items() if name != "constant"]  # about its rest position
-        return float(np.linalg.norm(swing)) < _STRONGEST * float(reference.scale[joints[0]])
+        return float(np.linalg.norm(swing)) < STRONGEST * float(reference.scale[joints[0]])
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         return linear_spring(values)

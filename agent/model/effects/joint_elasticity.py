@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.model.effects.effect import Numbers
+from agent.model.effects.effect import Numbers, near_one
 from agent.model.effects.experiments import SHARP_REVERSALS
-from agent.model.effects.two_mass import TwoMass
+from agent.model.effects.two_mass import DAMPING, TwoMass
 
 _FREQUENCIES = np.geomspace(3.0, 36.0, 34)  # Hz
-_DAMPING = (0.04, 0.12)
 
 
 class JointElasticity(TwoMass):
@@ -28,8 +27,8 @@ class JointElasticity(TwoMass):
     experiment = SHARP_REVERSALS
     residual_driven = True
     refined = ("stiffness", "damping")
-    grid = tuple((float(frequency), damping, 0.0) for frequency in _FREQUENCIES for damping in _DAMPING)
+    grid = tuple((float(frequency), damping, 0.0) for frequency in _FREQUENCIES for damping in DAMPING)
     few = grid[1::14]
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
-        return 0.3 < values["share"] < 2.5
+        return near_one(values["share"])

@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
-from agent.model.effects.effect import FitContext, Joints, Numbers
+from agent.model.effects.effect import POWERS, FitContext, Joints, Numbers
 from agent.model.effects.friction_level import FrictionLevel
 
 
@@ -29,7 +29,6 @@ class LoadDependentFriction(FrictionLevel):
     confused_with = ("friction_change", "torque_constant")
     phrase = "friction grows with the load on the gear"
     look_at = "gear efficiency: tooth or wave-generator wear, overload"
-    needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
     units = MappingProxyType({"load": "N·m"})
@@ -41,7 +40,7 @@ class LoadDependentFriction(FrictionLevel):
         nominal = float(context.reference.scale[joints[0]])
         return [
             {},
-            *({"power": power, "load": nominal} for power in (0.5, 2.0)),
+            *({"power": power, "load": nominal} for power in POWERS),
             {"sheared": 1.0},
             {"driven": 1.0},
             {"links": 1.0},

@@ -7,17 +7,17 @@ from types import MappingProxyType
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
+from agent.model.effects.effect import BELOW_ZERO, Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
 from agent.model.effects.simulator_numbers import SimulatorNumbers
 from agent.robot import ParameterLayout
 
-_ROUNDS = 6
+_ROUNDS = 6  # numerical: of Gauss and Newton
 _START = ("m0", "hx0", "hy0", "hz0")
 _POINT = "point_mass"  # in settings without an inertia of its own
-_INERTIA_TOLERANCE = 0.1  # of m r²: an inertia this far below zero counts as zero
 _USUAL = (20.0, 5.0, 0.5, 2.0)  # kg, kg·m, kg·m² of a ball's own and of a link's inertia: standard deviations of a load
-_LEAST_RADIUS = 0.05  # m, of that r
+_LEAST_RADIUS = 0.05  # m of an inertia m r²
+_LEAST_MASS = 0.01  # kg
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
 
@@ -53,7 +53,7 @@ class Payload(Effect):
         start = settled
         for _ in range(_ROUNDS):
             values = context.fit(self, joints, start)
-            if not abs(values[0]) > 1e-3:
+            if not abs(values[0]) > _LEAST_MASS:
                 return []
             settled, start = start, dict(zip(_START, map(float, values[:4]), strict=True))
         whole = self._has_inertia(dict(zip(self.names(settled), values, strict=True)))
@@ -75,13 +75,13 @@ class Payload(Effect):
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
         mass, moment, own, link = _USUAL
-        scales = [mass, *[moment] * 3, *([own] if settings else [link] * 6)]
-        return np.diag(1 / np.array(scales[: len(self.names(settings))]) ** 2)
+        usual = {"mass": mass, "moment": moment, "inertia": own if settings else link}
+        return np.diag([usual[name.split("_")[0]] ** -2.0 for name in self.names(settings)])
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
         mass = abs(values["mass"])
-        return mass > 0.01 and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
+        return mass > _LEAST_MASS and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         added = np.array([values[name] for name in self.names(values)])
@@ -91,7 +91,7 @@ class Payload(Effect):
         """Whether a ball's own inertia, counted as its mass is, is not clearly below zero."""
         mass, *moment = (values[name] for name in ("mass", "moment_x", "moment_y", "moment_z"))
         radius = max(float(np.linalg.norm(moment)) / abs(mass), _LEAST_RADIUS)
-        return values.get("inertia", 0.0) / mass > -_INERTIA_TOLERANCE * radius**2
+        return values.get("inertia", 0.0) / mass > -BELOW_ZERO * radius**2
 
 
 def _last_link(signals: MotionSignals) -> np.ndarray:
@@ -102,7 +102,7 @@ def _last_link(signals: MotionSignals) -> np.ndarray:
 
 def _of_ball(link: np.ndarray, settings: Numbers) -> Columns:
     change = ball(settings) if settings else np.eye(10)
-    return {j: part @ change for j, part in enumerate(np.split(link, link.shape[1] // 10, axis=1))}
+    return {j: part @ change for j, part in enumerate(np.split(link, link.shape[1] // len(change), axis=1))}
 
 
 def _voigt(a: np.ndarray, b: np.ndarray) -> np.ndarray:

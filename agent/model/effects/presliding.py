@@ -5,7 +5,16 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from agent.model.effect_inputs import MotionSignals
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, on_axle, travelled
+from agent.model.effects.effect import (
+    REVERSAL_TRAVELS,
+    Columns,
+    Effect,
+    FitContext,
+    Joints,
+    Numbers,
+    on_axle,
+    travelled,
+)
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.friction_terms import Reversal
 from agent.model.passive_forces import Bristles, PassiveForces
@@ -32,7 +41,7 @@ class Presliding(Effect):
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         low, high = travelled(context, joints[0])
-        return [{"travel": (high - low) * fraction} for fraction in (2e-4, 5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016, 0.03)]
+        return [{"travel": (high - low) * fraction} for fraction in REVERSAL_TRAVELS]
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (axle,) = joints

@@ -7,13 +7,10 @@ from types import MappingProxyType
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
-from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed, rubs
+from agent.model.effects.effect import BENDING_SPEEDS, FitContext, Joints, Numbers, highest_speed, rubs
 from agent.model.effects.experiments import SLOW_REVERSALS
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.passive_forces import Bristles, PassiveForces, bell_near
-
-# Of the highest speed. Below it is how the friction reverses, in which a model and a machine differ without any effect.
-_SPEEDS = (0.02, 0.035, 0.06, 0.1, 0.17, 0.28)
 
 
 class Stribeck(FrictionLevel):
@@ -31,7 +28,6 @@ class Stribeck(FrictionLevel):
     look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
     units = MappingProxyType({"rise": "N·m", "speed": "rad/s"})
     leading = ("rise",)
-    needs_speed = 0.05
     needs_reversals = 1
     shapes = ("speed",)
     sizes = ("rise",)
@@ -41,11 +37,11 @@ class Stribeck(FrictionLevel):
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])
-        return [{"speed": fastest * fraction, "shape": shape} for fraction in _SPEEDS for shape in (1.0, 2.0)]
+        return [{"speed": fastest * fraction, "shape": shape} for fraction in BENDING_SPEEDS for shape in (1.0, 2.0)]
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         fading = (signals.axles.magnitude[:, axle] / settings["speed"]) ** settings["shape"]
-        return (signals.direction(axle) * np.exp(-np.minimum(fading, 700)),)
+        return (signals.direction(axle) * np.exp(-fading),)
 
     def level_possible(self, reference: NominalModel, axle: int, settings: Numbers, values: Numbers) -> bool:
         return rubs(reference, axle, coulomb=values["rise"])

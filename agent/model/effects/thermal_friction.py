@@ -16,7 +16,7 @@ _LONGEST_SESSION = 12 * 3600.0  # s
 _SHORTEST = 5.0  # s: no gear warms up faster
 _LEAST_WAY = 1.0  # rad: nor within a sixth of a turn
 _STARTS = "within_first_log"
-_OF_START = (0.03, 0.1, 0.3)  # of its time or way
+_PARTS = (0.1, 0.3, 1.0, 3.0)  # of the time or way that is looked at
 
 
 class ThermalFriction(FrictionLevel):
@@ -38,7 +38,6 @@ class ThermalFriction(FrictionLevel):
     look_at = "the temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
     units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad", "time_constant": "s", "way": "rad"})
     leading = ("coulomb_drift", "viscous_drift")
-    needs_speed = 0.02
     needs_reversals = 1
     shapes = ("speed",)
     experiment = FROM_COLD
@@ -58,19 +57,19 @@ class ThermalFriction(FrictionLevel):
         first = min(motions, key=lambda s: (s.started, float(s.time[0]))).log_index
         start = max(float(s.time[-1]) for s in motions if s.log_index == first)
         found = [
-            *({"time_constant": fraction * longest} for fraction in (0.08, 0.2, 0.5, 1.5, 5.0)),
-            *({"way": fraction * furthest} for fraction in (0.1, 0.3, 1.0)),
+            *({"time_constant": fraction * longest} for fraction in _PARTS),
+            *({"way": fraction * furthest} for fraction in _PARTS),
         ]
         if not longest < session < _LONGEST_SESSION:
             return found
         return [
             *found,
-            *({"time_constant": fraction * session, "session": 1.0} for fraction in (0.1, 0.3, 0.8, 2.0)),
-            *({"way": fraction * whole, "session": 1.0} for fraction in (0.03, 0.1, 0.3, 1.0)),
+            *({"time_constant": fraction * session, "session": 1.0} for fraction in _PARTS),
+            *({"way": fraction * whole, "session": 1.0} for fraction in _PARTS),
             *(
                 {name: fraction * whole_log, "session": 1.0, _STARTS: 1.0}
                 for name, whole_log, least in (("time_constant", start, _SHORTEST), ("way", each[first], _LEAST_WAY))
-                for fraction in _OF_START
+                for fraction in _PARTS[:2]  # warm before the first log ends
                 if fraction * whole_log > least
             ),
         ]

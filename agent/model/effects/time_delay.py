@@ -8,18 +8,15 @@ from types import MappingProxyType
 
 import numpy as np
 
-from agent.model.effect_inputs import MotionSignals
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
+from agent.model.effect_inputs import MotionSignals, NominalModel
+from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, geometric, near_one
 from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
-from agent.model.rigid_friction import RigidFrictionModel
 
-_TRIED = (-0.02, -0.012, -0.007, -0.004, -0.002, -0.001, 0.001, 0.002, 0.004, 0.007, 0.012, 0.02)
 _ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay
 _SHARPER = (0.5, 0.25)
-_SHARE = 0.5  # by which the fitted share of a delay may be off from 1
-_SHARP = 2.5e-3  # of a joint's highest speed: friction that turns over less was not fitted to late torque
 _SHORTEST, _LONGEST = 1e-4, 0.05  # s
+_TRIED = tuple(sign * delay for delay in geometric(_ABSORBED, _LONGEST) for sign in (-1, 1))
 
 
 class TimeDelay(Effect):
@@ -57,7 +54,7 @@ class TimeDelay(Effect):
         tried = [{"delay": delay} for delay in _TRIED]
         best = min(tried, key=lambda s: abs(float(context.fit(self, joints, s)[0]) - 1))
         plain = self._solved(context, joints, best)
-        if abs(plain["delay"]) < _ABSORBED or not _turns_slowly(context.reference.model):
+        if abs(plain["delay"]) < _ABSORBED or not _turns_slowly(context.reference):
             return [plain]
         return [plain, *(self._solved(context, joints, {**plain, "reversal": part}) for part in _SHARPER)]
 
@@ -77,7 +74,7 @@ class TimeDelay(Effect):
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
-        return abs(values["share"] - 1) < _SHARE
+        return near_one(values["share"])
 
 
 def _over_time(signals: MotionSignals, part: float | None) -> Callable[[np.ndarray], np.ndarray]:
@@ -93,10 +90,10 @@ def _over_time(signals: MotionSignals, part: float | None) -> Callable[[np.ndarr
     return signals.remembered(("over time", part), made)
 
 
-def _turns_slowly(model: RigidFrictionModel) -> bool:
+def _turns_slowly(reference: NominalModel) -> bool:
     """Whether friction turns over a way, or a speed, that may have taken up a delay."""
-    turns = [(term.axle, term.reversal) for term in model.terms if term.reversal is not None]
-    return any(r.kind == "travel" or r.scale > _SHARP * model.robot.max_velocity[axle] for axle, r in turns)
+    turns = [(term.axle, term.reversal) for term in reference.model.terms if term.reversal is not None]
+    return any(r.kind == "travel" or r.scale > (1 + 1e-6) * reference.sharp_reversal(axle).scale for axle, r in turns)
 
 
 def _turning_faster(signals: MotionSignals, part: float) -> np.ndarray:

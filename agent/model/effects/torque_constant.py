@@ -5,10 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from agent.model.effect_inputs import MotionSignals
-from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
-
-#: No drive's scale is off by a larger factor; friction of the joint would then be as wrong the other way.
-_MOST = 3.0
+from agent.model.effects.effect import Columns, Effect, Joints, Numbers, near_one, on_axle
 
 
 class TorqueConstant(Effect):
@@ -32,7 +29,7 @@ class TorqueConstant(Effect):
     of_servos = ("its servo has another gain", "the gain (P) of this servo in its firmware, and its supply voltage")
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
-        return 1 / _MOST - 1 < values["scale_error"] < _MOST - 1
+        return near_one(1 + values["scale_error"])
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return on_axle(signals.reference, joints[0], signals.axle_torque[:, joints[0]])

@@ -23,6 +23,7 @@ from agent.model.passive_forces import PassiveForces, periodic
 _HIGHEST = 13.0  # periods a motor turn
 _LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant
 _PEAKS = 3
+_FINE = 4  # numerical: bins a period, and points of the spectrum a bin
 
 
 class TorqueRipple(Effect):
@@ -51,8 +52,9 @@ class TorqueRipple(Effect):
         low, high = travelled(context, axle)
         gear = abs(float(context.reference.robot.gear_ratios[axle]))
         highest = _HIGHEST * max(gear, 10.0)
-        bins = int((high - low) * highest / 2 / np.pi * 4) + 2
-        if bins > 2_000_000 or high - low < 3 * 2 * np.pi / highest:
+        bins = int((high - low) * highest / 2 / np.pi * _FINE) + 2
+        twice = 2 * (2 * np.pi) / (high - low)  # order of two periods in all
+        if bins > 2_000_000 or twice > highest:
             return []
         sums = np.zeros(bins)
         speeds = []
@@ -61,13 +63,13 @@ class TorqueRipple(Effect):
             place = np.clip(((position - low) / (high - low) * bins).astype(int), 0, bins - 1)
             np.add.at(sums, place, residual[:, axle] / sigma[:, axle] ** 2)
             speeds.append(np.abs(signals.axles.speed[signals.kept, axle]))
-        size = 4 * bins
+        size = _FINE * bins
         power = np.abs(np.fft.rfft(sums, size)) ** 2
         order = 2 * np.pi * np.arange(len(power)) / size * bins / (high - low)
         speed = np.sort(np.concatenate(speeds))
         cutoff = context.reference.model.cutoff
-        passing = np.searchsorted(speed, 2 * np.pi * 0.9 * cutoff / np.maximum(order, 1e-9))
-        gain = np.where((order > max(_LOWEST, 4 * np.pi / (high - low))) & (order < highest), power, 0)
+        passing = np.searchsorted(speed, 2 * np.pi * cutoff / np.maximum(order, 1e-9))
+        gain = np.where((order > max(_LOWEST, twice)) & (order < highest), power, 0)
         gain = gain / np.maximum(passing, 20)
         found = []
         for _ in range(_PEAKS):

@@ -13,11 +13,12 @@ from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
-_RATE = 1500.0  # Hz of the integration, at least
+DAMPING = (0.04, 0.12)  # ratios of a link that rings
+_RATE = 1500.0  # numerical: Hz of the integration, at least
 _TRIED = 2  # of a joint's grid, in full
-_SUSPECT = 1.3  # Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
-_PROMISING = 0.15  # of a joint's Σ e² / σ², taken away by the best of the grid: its neighbours are worth a look
-_NEIGHBOURS = (1.12, 1.05)  # factors of frequency and play, finer with every round
+_SUSPECT = 1.3  # numerical: Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
+_PROMISING = 0.15  # numerical: of a joint's Σ e² / σ², from where on neighbours of the best are worth a look
+_NEIGHBOURS = (1.12, 1.05)  # numerical: factors of frequency and play, finer with every round
 
 
 def leads(

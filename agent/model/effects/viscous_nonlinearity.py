@@ -7,7 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals
-from agent.model.effects.effect import FitContext, Joints, Numbers, highest_speed
+from agent.model.effects.effect import BENDING_SPEEDS, POWERS, FitContext, Joints, Numbers, highest_speed
 from agent.model.effects.friction_level import FrictionLevel
 from agent.model.passive_forces import Bristles, PassiveForces, damping_near
 
@@ -26,7 +26,6 @@ class ViscousNonlinearity(FrictionLevel):
     look_at = "the grease: viscosity, fill level, churning at high speed"
     units = MappingProxyType({"bend": "N·m", "speed": "rad/s", "viscous": "N·m·s/rad"})
     leading = ("bend",)
-    needs_speed = 0.1
     needs_reversals = 1
     shapes = ("speed",)
     refined = ("speed", "power", "reversal_travel")
@@ -35,8 +34,8 @@ class ViscousNonlinearity(FrictionLevel):
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         fastest = highest_speed(context, joints[0])
         return [
-            *({"speed": fastest * fraction} for fraction in (0.01, 0.03, 0.1, 0.3)),
-            *({"power": power} for power in (0.5, 1.5, 2.0, 3.0)),
+            *({"speed": fastest * fraction} for fraction in BENDING_SPEEDS),
+            *({"power": power} for power in POWERS),
         ]
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:

@@ -8,16 +8,23 @@ from types import MappingProxyType
 import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
-from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
+from agent.model.effects.effect import (
+    BELOW_ZERO,
+    BENDS,
+    SLIDES,
+    Columns,
+    Effect,
+    FitContext,
+    Joints,
+    Numbers,
+    near_one,
+)
 from agent.model.friction_terms import AxleMotion, axle_columns
 from agent.robot import RobotDescription
 
-_RATIOS = (0.05, 0.068, 0.09, 0.12, 0.16, 0.22, 0.3, 0.4, 0.55, 0.74, 1.0, 1.4, 2.0)
-_FREE_RATIOS = (0.1, 0.3, 0.6, 1.0, 1.7)
-_RUBBING_RATIOS = (0.07, 0.12, 0.2, 0.33, 0.5, 0.72, 1.0, 1.4, 1.9)
-_LEAST_RATIO = 0.04  # below it what the coupled axle rubs is no other than what it rubs by itself
-_SHARE = 0.7  # by which the fitted share of a ratio may be off from 1
-_REVERSAL = 2e-3  # of the highest speed, where the model's friction reverses over a travel or at once
+#: Below the least what the coupled axle rubs is no other than what it rubs by itself.
+_RATIOS = tuple(np.geomspace(0.04, 2.0, 13).tolist())
+_FEW_RATIOS = _RATIOS[::3]
 
 
 class WristCoupling(Effect):
@@ -45,8 +52,8 @@ class WristCoupling(Effect):
     look_at = "motor_coupling in the robot description; coupling compensation of the controller"
     units = MappingProxyType({"rotor": "kg·m²", "inertia": "kg·m²", "coulomb": "N·m", "viscous": "N·m·s/rad"})
     leading = ("ratio",)
-    needs_travel = 0.1
-    needs_speed = 0.05
+    needs_travel = BENDS
+    needs_speed = SLIDES
     refined = ("ratio",)
     nonlinear = ("ratio",)
 
@@ -57,12 +64,12 @@ class WristCoupling(Effect):
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         kinds = [
             *({"ratio": ratio} for ratio in _RATIOS),
-            *({"ratio": ratio, "free": 1.0} for ratio in _FREE_RATIOS),
+            *({"ratio": ratio, "free": 1.0} for ratio in _FEW_RATIOS),
         ]
         sides: tuple[dict[str, float], ...] = ({}, {"axle_side": 1.0})
         turning = [{**kind, **side} for kind in kinds for side in sides]
-        rubbing = [{"ratio": ratio, "besides": 1.0} for ratio in _RUBBING_RATIOS]
-        rubbing += [{"ratio": ratio, "besides": 1.0, "turning": 1.0} for ratio in _FREE_RATIOS]
+        rubbing = [{"ratio": ratio, "besides": 1.0} for ratio in _RATIOS]
+        rubbing += [{"ratio": ratio, "besides": 1.0, "turning": 1.0} for ratio in _FEW_RATIOS]
         return [{**kind, "ratio": sign * kind["ratio"]} for kind in turning + rubbing for sign in (-1.0, 1.0)]
 
     def nearby(self, settings: Numbers, factor: float) -> list[dict[str, float]]:
@@ -118,13 +125,13 @@ class WristCoupling(Effect):
         return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
-        if abs(settings["ratio"]) < _LEAST_RATIO:
+        if abs(settings["ratio"]) < _RATIOS[0]:
             return False
         if "besides" in settings:
             rubs = values["coulomb"] > 0 or values["viscous"] > 0
             turns = min(values.get("rotor", 1.0), values.get("inertia", 1.0)) > 0
-            return rubs and turns and abs(values.get("share", 1.0) - 1) < _SHARE
-        as_ratio = abs(values.get("share", 1.0) - 1) < _SHARE
+            return rubs and turns and near_one(values.get("share", 1.0))
+        as_ratio = near_one(values.get("share", 1.0))
         return values["rotor"] > 0 and as_ratio and values.get("transmission", -1.0) < 0
 
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
@@ -132,7 +139,7 @@ class WristCoupling(Effect):
         if "besides" not in settings:
             return True
         at_most = values["viscous"] * float(reference.robot.max_velocity[joints[1]])
-        return min(values["coulomb"], at_most) > -0.1 * max(values["coulomb"], at_most)
+        return min(values["coulomb"], at_most) > -BELOW_ZERO * max(values["coulomb"], at_most)
 
 
 class _Parts:
@@ -185,5 +192,4 @@ def _viscous_and_coulomb(signals: MotionSignals, axle: int, joint: int, ratio: f
     reversal = signals.reference.reversals[axle]
     scale = reversal.scale if reversal.kind == "speed" else 0.0
     speed = signals.axles.speed[:, axle] + ratio * signals.qd[:, joint]
-    usual = _REVERSAL * float(signals.reference.robot.max_velocity[axle])
-    return np.column_stack([speed, np.tanh(speed / (scale or usual))])
+    return np.column_stack([speed, np.tanh(speed / (scale or signals.reference.sharp_reversal(axle).scale))])
