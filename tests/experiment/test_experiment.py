@@ -151,7 +151,7 @@ def test_does_not_predict_a_separation_for_too_short_a_travel(arm, ambiguous):
     assert scorer.chances(wide)[0, 0] > 0.5
     assert scorer.minimum_detectable_sizes(wide)[1] is not None
     short = MotionCoverage(
-        ("joint_1", "joint_2"), np.ones(2, bool), np.zeros(2), np.full(2, 0.1), np.ones(2), np.full(2, 9)
+        ("joint_1", "joint_2"), np.ones(2, bool), np.zeros(2), np.full(2, 0.05), np.ones(2), np.full(2, 9)
     )
     scorer._reached, little = short, replace(wide, excursions=short)
     assert scorer.chances(little)[0, 0] == 0.0

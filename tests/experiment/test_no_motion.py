@@ -51,7 +51,7 @@ def ask(tmp_path: Path, monkeypatch):
                 robot=recipe.robot,
                 given=False,
                 model=SimpleNamespace(provenance={}),
-                fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 100.0))),
+                fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 100.0), reach=2.0)),
             ),
         )
         answers = iter(experiments)

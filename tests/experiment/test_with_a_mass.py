@@ -29,7 +29,8 @@ QUIET = Console(-1)
 CAUSE, EQUAL, NEAR = ((name, (2,)) for name in ("load_dependent_friction", "friction_change", "viscous_nonlinearity"))
 FOUND = SimpleNamespace(
     dataset=SimpleNamespace(
-        fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0))), robot=SimpleNamespace(joint_names=())
+        fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0), reach=2.0)),
+        robot=SimpleNamespace(joint_names=()),
     ),
     selected=SimpleNamespace(causes=(SimpleNamespace(place=CAUSE),), rivals=((EQUAL,),), evidence=None),
 )
