@@ -21,11 +21,15 @@ PACKAGES = {
     "agent/validation": ["tests/validation"],
 }
 _LOG_EVIDENCE = ["tests/diagnosis/test_log_evidence.py"]
+_OF_EVIDENCE = ("evidence", "joint_moments", "noise_model", "pool", "score")
 _DECISION = ["tests/diagnosis/test_verdict.py", "tests/diagnosis/test_posterior.py"]
 #: The same for modules that no file of tests is called after, where those of the package say little of them.
 NARROW = {
     "agent/diagnosis/forward/interval.py": ["tests/diagnosis/test_forward.py"],
-    **{f"agent/diagnosis/hypotheses/{name}.py": _LOG_EVIDENCE for name in ("evidence", "noise_model", "pool")},
+    **{
+        f"agent/diagnosis/hypotheses/{name}.py": _LOG_EVIDENCE
+        for name in ("evidence", "joint_moments", "noise_model", "pool", "score")
+    },
     "agent/diagnosis/hypotheses/selected_causes.py": _DECISION,
     "agent/diagnosis/rows/moments.py": ["tests/diagnosis/test_fit.py"],
     "agent/diagnosis/verdict.py": _DECISION,

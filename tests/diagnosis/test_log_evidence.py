@@ -251,7 +251,7 @@ def test_the_smallest_size_that_would_be_named_outweighs_the_prior(case):
         unit = written.effect(k) / written.rms(k)  # of nominal torque each
         information = unit.T @ np.linalg.solve(base.whole, unit)
         more, count = np.linalg.slogdet(np.eye(len(information)) + LAW.sizes[1] ** 2 * information)[1], len(information)
-        power = 0.84 + np.sqrt(2 * (written.cost(k) + evidence.needed(True)) + more)
+        power = 0.8416212 + np.sqrt(2 * (written.cost(k) + evidence.needed(True)) + more)
         assert size == pytest.approx(power / np.sqrt(information.sum() / count), rel=1e-4)
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
+from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.hypotheses.score import Evaluated
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset

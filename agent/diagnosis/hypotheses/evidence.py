@@ -1,313 +1,27 @@
-"""Log evidence of hypotheses: which effects, on which joints, explain the torque that a model leaves.
+"""What the logs say of candidates beyond a hypothesis: which are worth a score, and what would be seen of others.
 
-All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian model:
-
-    r_j = X_j δ + Z_jh β_h + U_j γ_j + e_j,    e_j ~ N(0, s_j²),    δ ~ N(δ₀, Λ⁻¹),    β_h ~ N(0, size² / rms²),
-    γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           s_j² ~ inverse gamma (ν / 2, ν / 2)
-
-X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
-hypothesis' effects, and U_j those of the noise model. Some of these all logs share (`noise_model`), with a variance of
-four parts: the model's own systematic error (g), changes of the arm over time (drift), errors in the parameterisation
-of any effect (a share of its own torque τ), and "something else on this joint" (free_j). Of others, with γ ~ N(0, 1),
-each log has its own: what the healthy arm has of the effects (`healthy`), and changes of δ. δ, β and γ are integrated
-out in closed form. The scales s_j and the effects' sizes are fitted (Laplace, empirical Bayes). Parameters that the
-data do not need therefore cost evidence (Kass and Raftery, J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter
-that was chosen on the data costs ½ log N.
-
-Only second moments of the rows enter, so a hypothesis costs a few small factorisations.
+The information of the logs on parameters β is S = ZᵀZ − ZᵀA (AᵀA + R)⁻¹ AᵀZ, with A the columns of the model, of the
+hypothesis' effects and of the noise model (`score`), and R their prior. With the scales of the hypothesis it gives the
+gain in log evidence that a candidate would be worth, the smallest size that would be named, and what further rows add.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
-from itertools import pairwise
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.linalg.lapack import dtrtrs
 
-from agent.diagnosis.hypotheses.law import LAW, POWER, EvidenceLaw
-from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
-from agent.diagnosis.hypotheses.pool import CandidateBlock, CandidateMoments
-from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
-from agent.diagnosis.rows.fit import Fit
-from agent.model import CATALOGUE
-from agent.simulators import SIMULATOR
-
-_LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
-_ROUNDS = 3  # numerical: of scales and sizes, one more where nothing is known
+from agent.diagnosis.hypotheses.joint_moments import solved_lower
+from agent.diagnosis.hypotheses.law import POWER
+from agent.diagnosis.hypotheses.noise_model import scaled_cholesky
+from agent.diagnosis.hypotheses.pool import CandidateBlock
+from agent.diagnosis.hypotheses.score import Evaluated, Score
+from agent.diagnosis.rows.candidate import Candidate
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseRoot:
-    """L of the noise model's precision L Lᵀ, without what each log has for itself, which is diagonal, in full.
-
-    Of columns that all logs share, with a variance v, and others with 1: [[1 / v + Q_cc / s, Q_co / s], [·, 1 + Q_oo /
-    s]] with Q_oo diagonal (`noise_model`). Eliminating the latter first leaves a matrix whose size no log adds to.
-    """
-
-    own: np.ndarray
-    cross: np.ndarray
-    lower: np.ndarray
-
-    @classmethod
-    def of(cls, square: np.ndarray, common: int, scale: float, variance: float) -> NoiseRoot:
-        """Of products (m, m) of the columns, the first `common` of which all logs share."""
-        own = np.sqrt(1 + np.diag(square)[common:] / scale)
-        cross = square[:common, common:] / (scale * own)
-        left = square[:common, :common] / scale - cross @ cross.T
-        left.flat[:: common + 1] += 1 / variance
-        return cls(own, cross, np.linalg.cholesky(left))
-
-    @property
-    def log_det(self) -> float:
-        """Of the precision."""
-        return 2 * float(np.log(np.diag(self.lower)).sum() + np.log(self.own).sum())
-
-    def solved(self, side: np.ndarray) -> np.ndarray:
-        """L⁻¹ of (m, k) or (m,)."""
-        common = len(self.lower)
-        own = (side[common:].T / self.own).T
-        return np.concatenate([_solved_lower(self.lower, side[:common] - self.cross @ own), own])
-
-    def solved_transposed(self, side: np.ndarray) -> np.ndarray:
-        """L⁻ᵀ of (m,)."""
-        common = len(self.lower)
-        first = _solved_lower(self.lower, side[:common], transposed=True)
-        return np.concatenate([first, (side[common:] - self.cross.T @ first) / self.own])
-
-
-@dataclass(frozen=True, eq=False)
-class JointMoments:
-    """One joint under a hypothesis, over [X, Z, r].
-
-    `reduced`: moments with the noise model integrated out; `root` of the noise model's precision; `half`: its solution
-    with the cross moments; `moments`: B of [X, Z, r], V of U with these, Q of U; `at`: indices of X and Z among all
-    parameters; `effects`: which effects act here.
-    """
-
-    reduced: np.ndarray
-    log_det: float
-    root: NoiseRoot
-    half: np.ndarray
-    moments: tuple[np.ndarray, np.ndarray, np.ndarray]
-    at: np.ndarray
-    effects: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluated:
-    """A hypothesis with its `log_evidence`.
-
-    `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
-    posterior mean of effect k. `torque[k]` is its torque per joint over nominal, fitted without the noise model: the
-    root mean square while it lasts, in the log with most. `left` (n,) is the squared torque over nominal that neither
-    the effects nor the noise model explain.
-    """
-
-    effects: tuple[int, ...]
-    free: Mapping[int, float]
-    log_evidence: float
-    scales: np.ndarray
-    values: tuple[np.ndarray, ...]
-    torque: tuple[dict[int, float], ...]
-    left: np.ndarray
-    joints: tuple[JointMoments, ...] = field(repr=False)
-    precision: np.ndarray = field(repr=False)
-    mean: np.ndarray = field(repr=False)
-    shortlist: list[tuple[np.ndarray, list[np.ndarray]]] = field(default_factory=list, repr=False)
-
-    @property
-    def largest(self) -> tuple[float, ...]:
-        """Per effect its torque on the joint where it has most, over nominal."""
-        return tuple(max(one.values(), default=0.0) for one in self.torque)
-
-
-class Evidence:
-    """Log evidence of sets of candidates on one data set. Candidates are added to a pool and known by number.
-
-    Parameters
-    ----------
-    fit : Fit
-        Residual and columns of the model on the logs.
-    candidates : sequence of Candidate
-        The pool to begin with.
-    healthy : sequence of HealthyForm, optional
-        Effects that the healthy arm has: part of the noise model. If None, nothing is known about this arm, and the
-        noise model includes small amounts of the pool's effects that every arm has.
-    law : EvidenceLaw, optional
-        The numbers of the decision.
-    """
-
-    def __init__(
-        self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW
-    ):
-        self.law, self.joints, self.reference = law, len(fit.rows), fit.reference
-        self.noise = noise = NoiseModel(fit, candidates, healthy, law)
-        self.usual: dict[HypothesisKey, float] = {}
-        for one in healthy or ():
-            size = noise.torque_of(one.candidate, one.amount)
-            self.usual[one.candidate.place] = max(size, self.usual.get(one.candidate.place, 0.0))
-        self._baseline = {one.candidate.place: one for one in healthy or () if one.mean is not None}
-        self.pool = CandidateMoments(noise)
-        rounds = _ROUNDS + 1  # in which the scales are fitted
-        self._moments = lru_cache(maxsize=rounds * self.joints)(self.pool.moments)
-        self._index, self._pull = list(fit.index), fit.shift
-        self._friction = _of_the_day(fit)
-        self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
-        self._prior = _of_another_day(fit, self._friction, law.daily)
-        self._log_prior = float(np.linalg.slogdet(self._prior)[1])
-        left = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
-        largest = float(np.sqrt(np.mean(left**2, axis=0)).max())
-        self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
-        self._nothing: Evaluated | None = None
-        self.pool.add(candidates)
-        self._nothing = self.evaluate(())
-
-    @property
-    def nothing(self) -> Evaluated:
-        """The hypothesis without effects."""
-        assert self._nothing is not None
-        return self._nothing
-
-    def possible(self, number: int, values: np.ndarray) -> bool:
-        """Whether parameters (k,) of a candidate can be true."""
-        candidate = self.pool.candidate(number)
-        named = dict(zip(candidate.names, map(float, values), strict=True))
-        effect, settings = candidate.effect, candidate.settings
-        return effect.plausible(settings, named) and effect.possible(self.reference, candidate.joints, settings, named)
-
-    def as_expected(self, base: Evaluated) -> Evaluated:
-        """The same hypothesis with no joint's error scale above that of the noise model.
-
-        The remainder of a large effect raises the scales, and then the noise model explains anything smooth.
-        """
-        if base.scales.max() <= 1:
-            return base
-        return self.evaluate(base.effects, base.free, np.minimum(base.scales, 1.0), refit=False)
-
-    def evaluate(
-        self,
-        effects: Sequence[int],
-        free: Mapping[int, float] | None = None,
-        scales: np.ndarray | None = None,
-        refit: bool = True,
-    ) -> Evaluated:
-        """Integrate a hypothesis.
-
-        Parameters
-        ----------
-        effects : sequence of int
-            Numbers of candidates in the pool.
-        free : mapping of int to float, optional
-            Joints with "something else", and its size over nominal torque.
-        scales : ndarray, shape (n,), optional
-            Squared scales s_j² to begin with; joints that nothing acts on keep them.
-        refit : bool, optional
-            Fit the scales; else all joints keep them.
-        """
-        law, free = self.law, dict(free or {})
-        scales = np.ones(self.joints) if scales is None else scales.copy()
-        form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
-        touched = {j for k in effects for j in self.pool.candidate(k).blocks} | set(free)
-        if refit and self._nothing:  # a large effect raises the scales, and the noise model would then explain it
-            scales[list(touched)] = np.minimum(scales[list(touched)], 1.0)
-        rounds = _ROUNDS + (self._nothing is None)
-        for last in [False] * rounds + [True]:
-            precision, side, joints, ends = self._together(effects, free, scales, form, sizes)
-            mean, log_det = _solved(precision, side)
-            values = [mean[a:b] for a, b in pairwise(ends)]
-            torque = [self.pool.torque(k, v) for k, v in zip(effects, values, strict=True)]
-            if last:
-                break
-            form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)])
-            form = form * self.noise.unit**2
-            if self._friction.size:
-                form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
-            sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
-            for j in (touched if self._nothing else range(self.joints)) if refit else ():
-                energy = _energy(joints[j], mean[joints[j].at])
-                scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), _LEAST_SCALE)
-        log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
-        ridges = [self.pool.ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
-        log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))
-        log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
-        log -= sum(self._cost(self.pool.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
-        alone = self._without_noise_model(joints, scales, ridges, ends)
-        return Evaluated(
-            effects=tuple(effects),
-            free=free,
-            log_evidence=log,
-            scales=scales,
-            values=tuple(values),
-            torque=tuple(self.pool.lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
-            left=np.array([self._left(j, joint, mean[joint.at]) for j, joint in enumerate(joints)]),
-            joints=tuple(joints),
-            precision=precision,
-            mean=mean,
-        )
-
-    def apart(self, evaluated: Evaluated, which: int) -> tuple[float, float] | None:
-        """Torque over nominal, root mean square, by which an effect of a hypothesis differs from the baseline's.
-
-        Returns
-        -------
-        tuple of float, or None
-            The difference on the joint where it is largest, and its standard deviation: that of both parameters. None
-            where the baseline does not show the effect.
-        """
-        number, values = evaluated.effects[which], evaluated.values[which]
-        known = self._baseline.get(self.pool.candidate(number).place)
-        if known is None or known.mean is None or known.deviation is None:
-            return None
-        (other,), end = self.pool.numbers([known.candidate]), len(evaluated.mean)
-        first = end - sum(map(len, evaluated.values[which:]))
-        unit = 1 / np.sqrt(np.diag(evaluated.precision))
-        lower = scaled_cholesky(evaluated.precision, unit)
-        half = _solved_lower(lower, np.diag(unit)[:, first : first + len(values)])
-        own = half.T @ half
-        found = [
-            (self.pool.difference(number, values, other, known.mean, j), j) for j in self.pool.candidate(number).blocks
-        ]
-        torque, j = max(found)
-        spread = self.pool.variance(number, own, j) + self.pool.variance(other, np.diag(known.deviation**2), j)
-        return torque, float(np.sqrt(spread))
-
-    def irreplaceable(self, effects: Sequence[int], which: int) -> bool:
-        """Whether one effect of a hypothesis, on one joint, is needed next to something else there.
-
-        That is any smooth function of the joint's state and time, as large as it likes. The log Bayes factor of the
-        effect next to it has to be that of a name.
-        """
-        (joint,), others = self.pool.candidate(effects[which]).joints, [*effects[:which], *effects[which + 1 :]]
-        with_it, without = (
-            max(self.evaluate(some, {joint: size}).log_evidence for size in self.sizes) for some in (effects, others)
-        )
-        return with_it - without >= self.needed(True)
-
-    def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
-        """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
-        friction = self._own_friction[j]
-        change = mean[joint.at[friction]]
-        return max(float(change @ joint.moments[0][np.ix_(friction, friction)] @ change) / self.noise.count, 0.0)
-
-    def _without_noise_model(
-        self, joints: Sequence[JointMoments], scales: np.ndarray, ridges: Sequence[np.ndarray], ends: np.ndarray
-    ) -> list[np.ndarray]:
-        """Parameters (k,) of each effect, fitted without the noise model, which would absorb part of any effect."""
-        base = len(self._prior)
-        matrix, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
-        matrix[:base, :base], side[:base] = self._prior, self._pull
-        for scale, joint in zip(scales, joints, strict=True):
-            own = joint.moments[0] / scale
-            matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
-            side[joint.at] += own[:-1, -1]
-        for ridge, (a, b) in zip(ridges, pairwise(ends), strict=True):
-            matrix[a:b, a:b] += ridge
-        values, _ = _solved(matrix, side)
-        return [values[a:b] for a, b in pairwise(ends)]
+class Evidence(Score):
+    """Scores of hypotheses, and the information of the logs on what they do not contain."""
 
     def shortlist_gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return about what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
@@ -327,7 +41,7 @@ class Evidence:
             at = bank.first[which][:, None] + np.arange(width)
             gain, fitted = self._at_best_size(schur[width], side[at], bank.rms[at], bank.priors[width])
             for row, number in enumerate(which.tolist()):
-                gains[number] = gain[row] - self._cost(bank.candidates[number])
+                gains[number] = gain[row] - self.cost(bank.candidates[number])
                 values[number] = fitted[row]
         return gains, values
 
@@ -351,7 +65,7 @@ class Evidence:
                 part = reach[:, place[here][:, None] + np.arange(k)].transpose(1, 0, 2)
                 own[k][here] += bank.own[k][here, j] / scale - part.transpose(0, 2, 1) @ part
         unit = 1 / np.sqrt(np.diag(base.precision))
-        half = _solved_lower(scaled_cholesky(base.precision, unit), unit[:, None] * cross)
+        half = solved_lower(scaled_cholesky(base.precision, unit), unit[:, None] * cross)
         for width, which in bank.alike.items():
             part = half[:, bank.first[which][:, None] + np.arange(width)].transpose(1, 0, 2)
             own[width] -= part.transpose(0, 2, 1) @ part
@@ -371,7 +85,7 @@ class Evidence:
                 at = bank.first[which][:, None] + np.arange(width)
                 unit = 1 / (bank.rms[at] * np.sqrt(width))
                 information = np.maximum(np.einsum("nk,nkl,nl->n", unit, schur[width], unit), 1e-12)
-                cost = np.array([self._cost(bank.candidates[k]) + self.needed(True) for k in which])
+                cost = np.array([self.cost(bank.candidates[k]) + self.needed(True) for k in which])
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
                 log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
                 sizes[which] = (POWER + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
@@ -404,16 +118,8 @@ class Evidence:
         scale, weight = min(float(self.nothing.scales[joint]), 1.0), step / self.law.independent
         square = free.T @ free * weight
         lower = np.linalg.cholesky(np.eye(len(square)) / self.noise.variance(joint, scale, 0.0, {}) + square / scale)
-        half = _solved_lower(lower, free.T @ rows * weight) / scale
+        half = solved_lower(lower, free.T @ rows * weight) / scale
         return np.asarray(rows.T @ rows * weight / scale - half.T @ half)
-
-    def needed(self, against_nothing: bool) -> float:
-        """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
-        law, sure = self.law, self.law.sure / self.law.certain
-        if not against_nothing:
-            return float(-np.log(law.rare))
-        prior = (1 - law.rare) / len(CATALOGUE) / self.joints
-        return float(np.log(sure / (1 - sure) / prior))
 
     def _at_best_size(
         self, schur: np.ndarray, side: np.ndarray, rms: np.ndarray, prior: np.ndarray
@@ -433,92 +139,3 @@ class Evidence:
             better = gain > best
             best[better], values[better] = gain[better], fitted[better]
         return best, values
-
-    def _joint(self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray) -> JointMoments:
-        own, cross, square = self._moments(j, effects)
-        root = NoiseRoot.of(square, self.noise.common(j), scale, variance)
-        half = root.solved(cross) / scale
-        log_det = self.noise.count * np.log(scale) + root.log_det + self.noise.common(j) * np.log(variance)
-        return JointMoments(own / scale - half.T @ half, float(log_det), root, half, (own, cross, square), at, effects)
-
-    def _together(
-        self, effects: Sequence[int], free: dict[int, float], scales: np.ndarray, form: np.ndarray, sizes: list[float]
-    ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
-        """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
-        base = len(self._prior)
-        ends = base + np.cumsum([0, *(len(self.pool.candidate(k).names) for k in effects)])
-        precision, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
-        precision[:base, :base], side[:base] = self._prior, self._pull
-        joints = []
-        for j in range(self.joints):
-            here = [place for place, k in enumerate(effects) if j in self.pool.candidate(k).blocks]
-            known = self._nothing
-            if known is not None and not here and j not in free and scales[j] == known.scales[j]:
-                joint = known.joints[j]
-            else:
-                spans = [np.arange(ends[place], ends[place + 1]) for place in here]
-                at = np.concatenate([self._index[j], *spans]).astype(int)
-                variance = self.noise.variance(j, float(scales[j]), float(form[j]), free)
-                joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), at)
-            precision[np.ix_(joint.at, joint.at)] += joint.reduced[:-1, :-1]
-            side[joint.at] += joint.reduced[:-1, -1]
-            joints.append(joint)
-        for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
-            precision[a:b, a:b] += self.pool.ridge(k, size)
-        return precision, side, joints, ends
-
-    def _cost(self, candidate: Candidate) -> float:
-        """Log evidence penalty of nonlinear parameters chosen on the data (Schwarz, Ann. Statist. 6, 1978)."""
-        chosen = candidate.effect.counted(candidate.settings)
-        return 0.5 * float(np.log(self.noise.count)) * chosen
-
-    def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
-        """Squared torque over nominal that remains beyond the noise model's usual energy."""
-        rest, square = np.append(mean, -1.0), joint.moments[2]
-        energy, common = np.diag(square), self.noise.common(j)
-        usual = self.noise.variance(j, 1.0, 0.0, {}) * energy[:common].sum() + energy[common:].sum()
-        usual = 1 + float(usual) / self.noise.count
-        left = max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0)
-        return left / float(self.noise.unit[j]) ** 2
-
-
-def _of_the_day(fit: Fit) -> np.ndarray:
-    """Parameters that differ from day to day: friction of a model that was estimated before on the machine."""
-    model = fit.reference.model
-    if not fit.given or model.method == SIMULATOR:
-        return np.empty(0, dtype=int)
-    friction = [k for k, term in enumerate(model.terms, len(model.independent)) if term.form != "offset"]
-    return np.array([k for k in friction if model.values[k] != 0], dtype=int)
-
-
-def _of_another_day(fit: Fit, friction: np.ndarray, daily: float) -> np.ndarray:
-    """(p, p) prior precision of the model's parameters, whose friction differs from day to day by a share of itself."""
-    spread = np.diag((daily * fit.reference.model.values[friction]) ** -2.0)
-    gain = np.linalg.solve(fit.precision[np.ix_(friction, friction)] + spread, fit.precision[friction])
-    return np.asarray(fit.precision - fit.precision[:, friction] @ gain)
-
-
-def _nearest(sizes: Sequence[float], size: float) -> float:
-    return min(sizes, key=lambda s: abs(np.log(s / max(size, 1e-6))))
-
-
-def _solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
-    """Solution and log determinant of a positive definite system whose units differ widely."""
-    unit = 1 / np.sqrt(np.diag(matrix))
-    lower = scaled_cholesky(matrix, unit)
-    half = _solved_lower(lower, unit * side)
-    log_det = 2 * float(np.log(np.diag(lower)).sum() - np.log(unit).sum())
-    return unit * _solved_lower(lower, half, transposed=True), log_det
-
-
-def _energy(joint: JointMoments, mean: np.ndarray) -> float:
-    """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
-    own, cross, square = joint.moments
-    rest = np.append(mean, -1.0)
-    pull, background = cross @ rest, -joint.root.solved_transposed(joint.half @ rest)
-    return max(float(rest @ own @ rest + 2 * background @ pull + background @ square @ background), 0.0)
-
-
-def _solved_lower(lower: np.ndarray, side: np.ndarray, transposed: bool = False) -> np.ndarray:
-    """Solution of L x = side, or of Lᵀ x = side; as `scipy.linalg.solve_triangular`, whose checks take longer."""
-    return np.asarray(dtrtrs(lower.T, side, lower=0, trans=int(not transposed))[0])

@@ -17,8 +17,9 @@ from itertools import compress, product
 import numpy as np
 from scipy.special import gammaln
 
-from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
+from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.score import Evaluated
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses, near
 from agent.diagnosis.rows.candidate import HypothesisKey
 from agent.diagnosis.rows.fit import Fit

@@ -6,10 +6,11 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 
 import numpy as np
 
-from agent.diagnosis.hypotheses.evidence import Evaluated, Evidence
+from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.posterior import Observed, compare
+from agent.diagnosis.hypotheses.score import Evaluated
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.rows.candidate import Candidate, HypothesisKey, Wanted
 from agent.diagnosis.rows.fit import Fit
