@@ -168,10 +168,10 @@ def _recorded(motion: Motion, first: int, torque: np.ndarray) -> Drive:
     return drive
 
 
-def _between(place: float, count: int) -> tuple[int, float]:
-    """Sample before a place among `count`, and the share of the one after it."""
-    low = min(int(place), count - 2)
-    return low, min(place - low, 1.0)
+def _between(row: float, count: int) -> tuple[int, float]:
+    """Sample before a row that is no whole number, of `count`, and the share of the one after it."""
+    low = min(int(row), count - 2)
+    return low, min(row - low, 1.0)
 
 
 def _following(motion: Motion, first: int, servo: np.ndarray) -> Drive:
