@@ -232,10 +232,14 @@ class MotionSignals:
         share = ((sample - at[first]) / (at[first + 1] - at[first]))[:, None, None]
         return (1 - share) * matrices[first] + share * matrices[first + 1]
 
-    @cached_property
-    def standard(self) -> np.ndarray:
+    def regressor(self) -> np.ndarray:
         """(S, n, 10 n) regressor of the links' standard parameters."""
         return self.reference.links.regressor(self.q, self.qd, self.qdd)
+
+    @cached_property
+    def standard(self) -> np.ndarray:
+        """The same, kept: it is large."""
+        return self.regressor()
 
     def pushed(self, link: int, rows: np.ndarray, place: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> np.ndarray:
         """Jacobian (K, 3, n) in the base frame of a point on a link (from 0), at the K set rows (S,) bool.

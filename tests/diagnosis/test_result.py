@@ -32,6 +32,18 @@ def test_the_catalogue_matches_the_vocabulary():
         assert set(effect.confused_with) | set(effect.structurally_equivalent) <= set(VOCABULARY)
 
 
+def test_rows_of_compared_effects_are_made_again(diagnosed):
+    found = diagnosed(1).selected
+    forms = {form.effect.name: form for one in found.hypotheses for form in one.effects}
+    afresh = found.plain.seen_from(found.plain.reference)
+    for form in forms.values():
+        form.release()
+        made = afresh.candidate(form.effect, form.joints, form.settings)
+        for joint, rows in made.blocks.items():
+            np.testing.assert_allclose(form.blocks[joint], rows, rtol=1e-9, atol=1e-9 * np.abs(rows).max())
+    assert len(forms) > 3
+
+
 @pytest.mark.parametrize("case", [0, 1])
 def test_figures_match_their_definitions(diagnosed, case):
     result = diagnosed(case).result

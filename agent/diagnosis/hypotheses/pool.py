@@ -82,6 +82,8 @@ class CandidateMoments:
         if candidates:
             self._where += [(len(self.banks), k) for k in range(len(candidates))]
             self.banks.append(CandidateBlock(self.noise, candidates))
+            for candidate in candidates:
+                candidate.release()
 
     def candidate(self, number: int) -> Candidate:
         """One of them."""

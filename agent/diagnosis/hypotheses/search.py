@@ -21,6 +21,7 @@ _LEADERS = 8  # hypotheses whose nonlinear parameters are refined
 _FIRST, _THEN = 12, 6  # numerical: hypotheses that are evaluated after nothing, and after another hypothesis
 _FORMS = 3  # numerical: parameterisations per hypothesis
 _EXTENDED = (3, 2)  # numerical: hypotheses that one more effect is tried with, by how many they have
+_TOGETHER = 64  # numerical: forms made before their rows are released
 _FACTORS = (1.25, 1.1, 1.04, 1.015)  # numerical: of nonlinear parameters, up and down
 
 Key = tuple[frozenset[HypothesisKey], frozenset[int]]
@@ -70,10 +71,13 @@ class Search:
 
     def run(self) -> SelectedCauses:
         """Evaluate the promising hypotheses, and compare them."""
-        tried = self.forms()
-        self.evidence = evidence = Evidence(self.fit, tried, self._healthy)
-        self._known.update(tried)
-        self._progress(f"comparing {len(tried)} parameterisations")
+        wanted = self._grid()
+        usual = {(effect, joints): (effect, joints, s) for effect, joints, s in reversed(wanted) if effect.usual}
+        first = [] if self._healthy is not None else self._stable(list(usual.values()))
+        self.evidence = evidence = Evidence(self.fit, first, self._healthy)
+        self._known.update(first)
+        self._add(self.fit, wanted)
+        self._progress(f"comparing {evidence.pool.size} parameterisations")
         self._keep(evidence.nothing)
         self._extend(evidence.nothing, _FIRST)
         for depth in range(1, LAW.most):
@@ -114,8 +118,14 @@ class Search:
 
     def forms(self) -> list[Candidate]:
         """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
+        return self._stable(self._grid())
+
+    def _grid(self) -> list[Wanted]:
         wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
         self._progress(f"comparing {len(wanted)} forms of effects")
+        return wanted
+
+    def _stable(self, wanted: Sequence[Wanted]) -> list[Candidate]:
         return [form for form in self.fit.candidates(wanted) if form.stable]
 
     def _text(self, base: Evaluated) -> str:
@@ -180,9 +190,11 @@ class Search:
         return gains, values
 
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
-        new = [c for c in dict.fromkeys(fit.candidates(wanted)) if c.stable and c not in self._known]
-        self._known.update(new)
-        self.evidence.pool.add(new)
+        for start in range(0, len(wanted), _TOGETHER):
+            some = fit.candidates(wanted[start : start + _TOGETHER])
+            new = [c for c in dict.fromkeys(some) if c not in self._known and c.stable]
+            self._known.update(new)
+            self.evidence.pool.add(new)
 
     def _promising(
         self, base: Evaluated, gains: np.ndarray, values: Sequence[np.ndarray], count: int

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -14,9 +15,41 @@ from agent.model import Effect, FitContext, ModelEffect, MotionSignals, NominalM
 HypothesisKey = tuple[str, tuple[int, ...]]
 #: Effect, joints and nonlinear parameters of a candidate that is asked for.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
+_Motions = Sequence[tuple[MotionSignals, np.ndarray]]  # each with its noise level (S', n) [N·m]
 
 _AT_ONCE = 16  # numerical: columns filtered together, so that they stay in the cache
-_TOGETHER = 64  # numerical: candidates made together: their intermediate arrays take as much memory as they do
+_TOGETHER = 16  # numerical: candidates made together: their intermediate arrays take as much memory as they do
+
+
+class Blocks(Mapping[int, np.ndarray]):
+    """Columns by joint, which can be released: those of all candidates together take hundreds of megabytes.
+
+    Hypotheses are compared by moments, so rows are needed again for few of them, and these are made again.
+    """
+
+    def __init__(self, made: dict[int, np.ndarray], make: Callable[[], Mapping[int, np.ndarray]]):
+        self._joints, self._make = tuple(made), make
+        self._made: Mapping[int, np.ndarray] | None = made
+
+    def release(self) -> None:
+        """Free the memory."""
+        self._made = None
+
+    def __getitem__(self, joint: int) -> np.ndarray:
+        if joint not in self._joints:
+            raise KeyError(joint)
+        if self._made is None:
+            self._made = self._make()
+        return self._made[joint]
+
+    def __contains__(self, joint: object) -> bool:
+        return joint in self._joints
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._joints)
+
+    def __len__(self) -> int:
+        return len(self._joints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +63,7 @@ class Candidate:
     joints: tuple[int, ...]
     settings: Mapping[str, float]
     names: tuple[str, ...]
-    blocks: dict[int, np.ndarray]
+    blocks: Mapping[int, np.ndarray]
     prior: np.ndarray | None
     reference: NominalModel
 
@@ -48,6 +81,11 @@ class Candidate:
     def stable(self) -> bool:
         """Whether its torque can be computed with; that of an unstable simulation overflows."""
         return all(np.abs(block).max(initial=0.0) < 1e15 for block in self.blocks.values())
+
+    def release(self) -> None:
+        """Free the memory of its columns, if they can be made again."""
+        if isinstance(self.blocks, Blocks):
+            self.blocks.release()
 
     def of_rows(self, rows: slice) -> Candidate:
         """The same on some of the rows."""
@@ -75,15 +113,36 @@ class Fold:
 
 def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candidate]:
     """Candidates with their columns, filtered like the torque and divided by the noise level of `context`."""
-    for kind in {effect for effect, *_ in wanted}:
-        kind.prepare(context.signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
+    motions = list(zip(context.signals, context.sigmas, strict=True))
+    made = []
+    for (effect, joints, settings), blocks in zip(wanted, _all_columns(motions, wanted), strict=True):
+        prior = effect.prior_precision(context, joints, settings)
+        # not the context: it remembers the candidate, and a circle is not freed with the last reference
+        again = partial(_made_again, motions, (effect, joints, settings))
+        columns, names = Blocks(blocks, again), effect.names(settings)
+        made.append(Candidate(effect, joints, dict(settings), names, columns, prior, context.reference))
+    return made
+
+
+def _made_again(motions: _Motions, wanted: Wanted) -> dict[int, np.ndarray]:
+    return _all_columns(motions, [wanted])[0]
+
+
+def _all_columns(motions: _Motions, wanted: Sequence[Wanted]) -> list[dict[int, np.ndarray]]:
+    """Per candidate joint → (S', k) over σ, all motions in a row."""
+    kinds, signals = {effect for effect, *_ in wanted}, [signals for signals, _ in motions]
+    for kind in kinds:
+        kind.prepare(signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
     starts = range(0, len(wanted), _TOGETHER)
-    return [made for first in starts for made in _made(context, wanted[first : first + _TOGETHER])]
+    made = [made for first in starts for made in _columns(motions, wanted[first : first + _TOGETHER])]
+    for kind in kinds:
+        kind.release(signals)
+    return made
 
 
-def _made(context: FitContext, wanted: Sequence[Wanted]) -> Iterator[Candidate]:
+def _columns(motions: _Motions, wanted: Sequence[Wanted]) -> list[dict[int, np.ndarray]]:
     parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
-    for signals, sigma in zip(context.signals, context.sigmas, strict=True):
+    for signals, sigma in motions:
         over = [column[:, None] for column in np.ascontiguousarray(sigma.T)]
         if signals.answer is not None:
             _answered(signals, over, wanted, parts)
@@ -97,11 +156,7 @@ def _made(context: FitContext, wanted: Sequence[Wanted]) -> Iterator[Candidate]:
         for number, blocks in enumerate(ready):
             for joint, block in (blocks or {}).items():
                 parts[number].setdefault(joint, []).append(block / over[joint])
-    for (effect, joints, settings), found in zip(wanted, parts, strict=True):
-        joined = {joint: np.concatenate(block) for joint, block in found.items()}
-        prior = effect.prior_precision(context, joints, settings)
-        names = effect.names(settings)
-        yield Candidate(effect, joints, dict(settings), names, joined, prior, context.reference)
+    return [{joint: np.concatenate(block) for joint, block in found.items()} for found in parts]
 
 
 def _answered(

@@ -255,7 +255,10 @@ class Fit:
 
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
-        return self.with_chosen((*self.chosen, self.candidate(effect, joints, settings))).values[-1]
+        candidate = self.candidate(effect, joints, settings)
+        values = self.with_chosen((*self.chosen, candidate)).values[-1]
+        candidate.release()
+        return values
 
     def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).

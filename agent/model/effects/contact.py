@@ -32,6 +32,7 @@ _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pus
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # numerical: steps by which each end moves in the fit; steps per duration
 _PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # starts and length of the parts checked for a pause, per duration
 _PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
+_UNKNOWN = -1  # numerical: whether a window has a pause
 _LOOK = 16  # numerical: windows that are looked at for a pause together, the strongest first
 _ROUNDS = 30  # numerical: alternating fits of force and point
 _WEAK = 1e-6  # regularisation over the mean information: moving the point along the force changes no torque
@@ -229,15 +230,28 @@ class Windows:
 
     def best(self, taken: Sequence[PushedWindow]) -> PushedWindow | None:
         """The strongest window without a pause in it that shares no time with those taken."""
-        free = np.flatnonzero(~self.shared(taken))
-        order = free[np.argsort(-self.gain[free], kind="stable")]
+        shared = self.shared(taken)
+        order = self._order[~shared[self._order]]
         for first in range(0, len(order), _LOOK):
             some = order[first : first + _LOOK]
-            whole = self.sums.whole(self.starts[some], self.duration, self.gain[some], self.force[some])
+            new = some[self._whole[some] == _UNKNOWN]
+            if len(new):
+                self._whole[new] = self.sums.whole(self.starts[new], self.duration, self.gain[new], self.force[new])
+            whole = self._whole[some] == 1
             if whole.any():
                 at = int(some[np.argmax(whole)])
                 return PushedWindow(float(self.gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
         return None
+
+    @cached_property
+    def _order(self) -> np.ndarray:
+        """(K,) windows, the strongest first."""
+        return np.argsort(-self.gain, kind="stable")
+
+    @cached_property
+    def _whole(self) -> np.ndarray:
+        """(K,) whether windows have no pause, as far as that is known."""
+        return np.full(len(self.starts), _UNKNOWN, dtype=np.int8)
 
     def fitted(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> PushedWindow:
         """A push with both ends moved to where it gains most, so that no remainder shows next to it."""

@@ -185,6 +185,10 @@ class Effect(ABC):
         """Compute what several (joints, settings) share on all motions, where that saves time."""
         return
 
+    def release(self, motions: Sequence[MotionSignals]) -> None:
+        """Forget what several (joints, settings) share on motions, where it is large."""
+        return
+
     @abstractmethod
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         """Torque per unit of each linear parameter."""

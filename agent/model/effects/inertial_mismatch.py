@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -46,9 +47,27 @@ class InertialMismatch(Effect):
         link = ParameterLayout.of(signals.reference.robot).link(last - 1)
         return {joint: signals.standard[:, joint, link] for joint in range(last)}
 
+    def filtered(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
+        return signals.remembered(self.name, lambda: _filtered_links(signals))[int(settings["link"])]
+
+    def release(self, motions: Sequence[MotionSignals]) -> None:
+        for motion in motions:
+            motion.memory.pop(self.name, None)
+
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
         layout = ParameterLayout.of(context.reference.robot)
         return np.diag(1 / context.reference.prior_std[layout.link(int(settings["link"]) - 1)] ** 2)
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         return SimulatorNumbers(body=(int(values["link"]) - 1, np.array([values[name] for name in self.names(values)])))
+
+
+def _filtered_links(signals: MotionSignals) -> dict[int, Columns]:
+    """Per link (from 1) the filtered columns of its parameters. All links at once cost one regressor."""
+    layout, whole, dof = ParameterLayout.of(signals.reference.robot), signals.regressor(), signals.q.shape[1]
+    felt = [(link, joint) for link in range(dof) for joint in range(link + 1)]
+    filtered = signals.low_pass(np.hstack([whole[:, joint, layout.link(link)] for link, joint in felt]))
+    found: dict[int, Columns] = {link + 1: {} for link in range(dof)}
+    for (link, joint), part in zip(felt, np.split(filtered, len(felt), axis=1), strict=True):
+        found[link + 1][joint] = part
+    return found

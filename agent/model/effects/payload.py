@@ -67,10 +67,10 @@ class Payload(Effect):
         return (*first, *own)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
-        return _of_ball(_last_link(signals), settings)
+        return _of_ball(_last_link(signals, signals.standard), settings)
 
     def filtered(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
-        link = signals.remembered(self.name, lambda: signals.low_pass(_last_link(signals)))
+        link = signals.remembered(self.name, lambda: signals.low_pass(_last_link(signals, signals.regressor())))
         return _of_ball(link, settings)
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
@@ -94,10 +94,10 @@ class Payload(Effect):
         return values.get("inertia", 0.0) / mass > -BELOW_ZERO * radius**2
 
 
-def _last_link(signals: MotionSignals) -> np.ndarray:
+def _last_link(signals: MotionSignals, regressor: np.ndarray) -> np.ndarray:
     """(S, 10 n) torque of each joint per unit of each parameter of the link that carries it."""
     robot = signals.reference.robot
-    return signals.standard[:, :, ParameterLayout.of(robot).link(robot.load_link)].reshape(len(signals.time), -1)
+    return regressor[:, :, ParameterLayout.of(robot).link(robot.load_link)].reshape(len(signals.time), -1)
 
 
 def _of_ball(link: np.ndarray, settings: Numbers) -> Columns:

@@ -97,7 +97,6 @@ class TwoMass(Effect):
             if gain < _PROMISING * energy * len(columns) or (context.given and energy <= 1):
                 break
             near = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
-            self.prepare(context.signals, [((k,), entry) for entry in near])
             best, gain = self._best(context, k, near, self._on_joint(context, k, near))
         return best
 
@@ -124,10 +123,7 @@ class TwoMass(Effect):
             known[self.name] = {}
             for k in heavy:
                 entries = self._tried(context, k)
-                self.prepare(context.signals, [((k,), entry) for entry in entries])
                 known[self.name][k] = entries, self._on_joint(context, k, entries)
-                for motion in context.signals:
-                    del motion.memory["leads"]  # large, and few of them are needed again
         return known[self.name]
 
     def _tried(self, context: FitContext, k: int) -> list[dict[str, float]]:
@@ -141,9 +137,11 @@ class TwoMass(Effect):
         ]
 
     def _on_joint(self, context: FitContext, k: int, tried: Sequence[Mapping[str, float]]) -> np.ndarray:
+        self.prepare(context.signals, [((k,), entry) for entry in tried])
         parts = []
         for signals in context.signals:
             parts.append(signals.shown(k, -np.stack([self._lead(signals, k, entry)[0] for entry in tried]).T))
+        self.release(context.signals)  # large, and few of them are needed again
         return np.concatenate(parts)
 
     def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
@@ -155,6 +153,10 @@ class TwoMass(Effect):
         joints, stiffness, damping, gap = (np.array(part) for part in zip(*new, strict=True))
         for of_motion, parts in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
             of_motion.update(zip(new, zip(*(part.T for part in parts), strict=True), strict=True))
+
+    def release(self, motions: Sequence[MotionSignals]) -> None:
+        for motion in motions:
+            motion.memory.pop("leads", None)
 
     def _lead(self, signals: MotionSignals, k: int, settings: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return signals.memory["leads"][_key(k, settings)]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from itertools import product
 from types import MappingProxyType
 
 import numpy as np
@@ -25,6 +26,7 @@ from agent.robot import RobotDescription
 #: Below the least what the coupled axle rubs is no other than what it rubs by itself.
 _RATIOS = tuple(np.geomspace(0.04, 2.0, 13).tolist())
 _FEW_RATIOS = _RATIOS[::3]
+_PARTS = ("coupling", "filtered coupling")  # names of what a motion remembers
 
 
 class WristCoupling(Effect):
@@ -124,6 +126,10 @@ class WristCoupling(Effect):
         felt = np.flatnonzero(np.abs(coupling[j]) + np.abs(carriers))
         return {int(k): coupling[j, k] * more + carriers[k] * ratio * carried for k in felt}
 
+    def release(self, motions: Sequence[MotionSignals]) -> None:
+        for motion, name in product(motions, _PARTS):
+            motion.memory.pop(name, None)
+
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         if abs(settings["ratio"]) < _RATIOS[0]:
             return False
@@ -147,6 +153,7 @@ class _Parts:
 
     def __init__(self, signals: MotionSignals, filtered: bool = False):
         self.signals, self._filtered = signals, filtered
+        self._key = _PARTS[filtered]
 
     def friction(self, axle: int, joint: int, ratio: float, free: bool) -> np.ndarray:
         """(S, 1) of the model on an axle that also turns with a joint, or (S, 2) parts of its own."""
@@ -169,11 +176,12 @@ class _Parts:
 
     def _part(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
         """Computed once, because many forms need the same part."""
-        part = self.signals.remembered(("coupling", *key), make)
-        if not self._filtered:
-            return part
-        flat, low_pass = part.reshape(len(part), -1), self.signals.low_pass
-        return self.signals.remembered(("filtered coupling", *key), lambda: low_pass(flat).reshape(-1, *part.shape[1:]))
+        known = self.signals.remembered(self._key, dict)
+        if key not in known:
+            part = make()
+            flat = part.reshape(len(part), -1)
+            known[key] = self.signals.low_pass(flat).reshape(-1, *part.shape[1:]) if self._filtered else part
+        return known[key]
 
 
 def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:
