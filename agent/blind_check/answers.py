@@ -65,7 +65,7 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
         InputError: a line that is no answer, or two for one run; names file and line.
     """
     lines = read_text(path, LARGEST_JSON).removeprefix("\ufeff").split("\n")
-    found: dict[tuple[str, bool], dict[str, Any]] = {}
+    answers: dict[tuple[str, bool], dict[str, Any]] = {}
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
@@ -77,9 +77,9 @@ def read_answers(path: Path) -> list[dict[str, Any]]:
             raise InputError(
                 f"{path}:{number}: {f'{at}: ' if at else ''}{first['msg'].removeprefix('Value error, ')}"
             ) from None
-        if found.setdefault((answer["run"], bool(answer["without"])), answer) is not answer:
+        if answers.setdefault((answer["run"], bool(answer["without"])), answer) is not answer:
             raise InputError(f"{path}:{number}: a second answer for run {answer['run']}; one a run is scored")
-    return list(found.values())
+    return list(answers.values())
 
 
 def answer_line(run: str, result: Mapping[str, Any], without: list[str]) -> str:
@@ -89,10 +89,10 @@ def answer_line(run: str, result: Mapping[str, Any], without: list[str]) -> str:
             "effect": cause["effect"],
             "joints": cause["joints"],
             "probability": round(cause["probability"], 4),
-            "equivalent_to": [{"effect": one["effect"], "joints": one["joints"]} for one in cause["equivalent_to"]],
+            "equivalent_to": [{key: entry[key] for key in ("effect", "joints")} for entry in cause["equivalent_to"]],
         }
         for cause in result["causes"]
     ]
-    where = [{"joint": one["joint"], "share": round(one["share"], 4)} for one in result["where"]]
+    where = [{"joint": entry["joint"], "share": round(entry["share"], 4)} for entry in result["where"]]
     answer = {"run": run, "verdict": result["verdict"], "causes": causes, "where": where}
     return json.dumps(answer | ({"without": without} if without else {}))

@@ -132,10 +132,10 @@ def _begun(world: World, folder: Path, key_file: Path, count: int, seed: int | N
 
 def _labels(rng: np.random.Generator, count: int) -> list[str]:
     """Distinct random names."""
-    found: dict[str, None] = {}
-    while len(found) < count:
-        found[rng.bytes(4).hex()] = None
-    return list(found)
+    labels: dict[str, None] = {}
+    while len(labels) < count:
+        labels[rng.bytes(4).hex()] = None
+    return list(labels)
 
 
 def _recorded(world: World, task: tuple[Truth, Path]) -> bool:

@@ -76,9 +76,9 @@ class BlindCheck:
     def _answer(self, questions: Sequence[Question], path: Path, console: Console, engine: TaskEngine) -> None:
         """Append answers to questions that have none; a run that could not be diagnosed has none in the end."""
         lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        known = {(one["run"], tuple(one.get("without", ()))) for one in map(json.loads, lines)}
-        left = [(run, without) for run, without in questions if (run, tuple(without)) not in known]
-        groups = [left[at : at + _AT_ONCE] for at in range(0, len(left), _AT_ONCE)]
+        known = {(answer["run"], tuple(answer.get("without", ()))) for answer in map(json.loads, lines)}
+        unanswered = [(run, without) for run, without in questions if (run, tuple(without)) not in known]
+        groups = [unanswered[at : at + _AT_ONCE] for at in range(0, len(unanswered), _AT_ONCE)]
         work = partial(_answered, self.folder)
         for count, done in enumerate(engine.map(work, groups), start=1):
             if done.answer is None:
@@ -122,11 +122,11 @@ def _answered(folder: Path, questions: Sequence[Question]) -> list[str]:
         raise AgentError("the diagnosing process of the blind check has died; its message is above")
     answers = []
     for (run, without), line in zip(questions, done.stdout.splitlines(), strict=True):
-        found = json.loads(line)
-        if "result" in found:
-            answers.append(answer_line(run, found["result"], without))
+        reply = json.loads(line)
+        if "result" in reply:
+            answers.append(answer_line(run, reply["result"], without))
         else:
-            print(f"agent: run {run}: {found['error']}", file=sys.stderr)
+            print(f"agent: run {run}: {reply['error']}", file=sys.stderr)
     return answers
 
 

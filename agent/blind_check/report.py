@@ -60,8 +60,8 @@ def write_results(folder: Path, results: Sequence[Result]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise AgentError(f"{folder}: cannot be made: {error.strerror}") from None
-    kept = ({name: value for name, value in one.items() if _USUAL.get(name, ...) != value} for one in results)
-    write_atomically(folder / RESULTS, "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in kept))
+    kept = ({name: value for name, value in result.items() if _USUAL.get(name, ...) != value} for result in results)
+    write_atomically(folder / RESULTS, "".join(json.dumps(entry, separators=(",", ":")) + "\n" for entry in kept))
     write_atomically(folder / PAGE, page(read_results(folder / RESULTS)))
 
 
@@ -79,12 +79,14 @@ def read_results(path: Path) -> list[dict[str, Any]]:
 
 def page(results: Sequence[Result]) -> str:
     """Markdown, in which names of tools, worlds and recorders are text."""
-    results = [{**one, **{key: _as_text(one[key]) for key in ("tool", "world", "recorder")}} for one in results]
+    results = [
+        {**result, **{key: _as_text(result[key]) for key in ("tool", "world", "recorder")}} for result in results
+    ]
     lines = [f"# {NAME} {VERSION}: results", "", _DEFINITIONS]
-    for world in dict.fromkeys(one["world"] for one in results):
-        here = [one for one in results if one["world"] == world]
+    for world in dict.fromkeys(result["world"] for result in results):
+        here = [result for result in results if result["world"] == world]
         scores = score(here)
-        said = f"{len({one['run'] for one in here})} runs, answered by {', '.join(scores)}."
+        said = f"{len({result['run'] for result in here})} runs, answered by {', '.join(scores)}."
         lines += [f"## World {world}", "", said, "", *_verdicts(scores), *_further(scores), *_power(scores)]
     return "\n".join(lines).rstrip() + "\n"
 
@@ -102,11 +104,11 @@ def summary_of(scores: Mapping[str, Any]) -> str:
 def _verdicts(scores: Mapping[str, Any]) -> Iterator[str]:
     rows: dict[str, Mapping[str, int]] = {}
     for kind in KINDS:
-        counted = {f"{_KINDS[kind]}: {tool}": one["outcomes"][kind] for tool, one in scores.items()}
+        counted = {f"{_KINDS[kind]}: {tool}": figures["outcomes"][kind] for tool, figures in scores.items()}
         rows |= counted if any(sum(row.values()) for row in counted.values()) else {}
     yield from _table(["runs: tool", *OUTCOMES], _rows(rows))
     recorders = {
-        f"{tool}, {name}": row for tool, one in scores.items() for name, row in one["recorders"].items() if name
+        f"{tool}, {name}": row for tool, figures in scores.items() for name, row in figures["recorders"].items() if name
     }
     if recorders:
         yield from ("Runs with one effect, by recorder:", "")
@@ -121,10 +123,12 @@ def _further(scores: Mapping[str, Any]) -> Iterator[str]:
     head = ["tool", "both of two", "all of three", "joint", "further cause wrong", "class sizes", "withheld"]
     head += ["Brier", "ECE"]
     rows = []
-    for tool, one in scores.items():
-        shares = [_share(one[name]) for name in ("all_of_two", "all_of_three", "joint", "further_wrong")]
-        listed = [", ".join(f"{what}: {n}" for what, n in one[name].items()) or "-" for name in ("classes", "withheld")]
-        fit = [_number(one["calibration"][name]) for name in ("brier", "ece")]
+    for tool, figures in scores.items():
+        shares = [_share(figures[name]) for name in ("all_of_two", "all_of_three", "joint", "further_wrong")]
+        listed = [
+            ", ".join(f"{what}: {n}" for what, n in figures[name].items()) or "-" for name in ("classes", "withheld")
+        ]
+        fit = [_number(figures["calibration"][name]) for name in ("brier", "ece")]
         rows.append([tool, *shares, *listed, *fit])
     yield from _table(head, rows)
 
@@ -133,9 +137,9 @@ def _power(scores: Mapping[str, Any]) -> Iterator[str]:
     columns = ("found", "right", "wrong")
     rows = [
         [tool, _band(row), *(_share(row[name]) for name in columns)]
-        for tool, one in scores.items()
-        for row in one["power"]
-        if row["found"]["of"] and any(band["right"]["count"] for band in one["power"])
+        for tool, figures in scores.items()
+        for row in figures["power"]
+        if row["found"]["of"] and any(band["right"]["count"] for band in figures["power"])
     ]
     if rows:
         yield from ("Runs with one effect by its size, of tools that found a true cause:", "")

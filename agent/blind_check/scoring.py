@@ -101,7 +101,7 @@ def _joint_right(effects: Sequence[Mapping[str, Any]], answer: Mapping[str, Any]
         return False
     if answer["causes"] and answer["causes"][0]["joints"]:
         return set(answer["causes"][0]["joints"]) <= true
-    return bool(answer["where"]) and max(answer["where"], key=lambda one: one["share"])["joint"] in true
+    return bool(answer["where"]) and max(answer["where"], key=lambda entry: entry["share"])["joint"] in true
 
 
 def clopper_pearson(hits: int, trials: int) -> tuple[float, float]:
@@ -114,46 +114,50 @@ def clopper_pearson(hits: int, trials: int) -> tuple[float, float]:
 
 def score(results: Sequence[Result]) -> dict[str, Any]:
     """All counts, by tool."""
-    return {tool: _scores([one for one in results if one["tool"] == tool]) for tool in _distinct(results, "tool")}
+    return {
+        tool: _scores([result for result in results if result["tool"] == tool]) for tool in _distinct(results, "tool")
+    }
 
 
 def _scores(results: Sequence[Result]) -> dict[str, Any]:
-    of = {kind: [one for one in results if one["kind"] == kind] for kind in KINDS}
+    of = {kind: [result for result in results if result["kind"] == kind] for kind in KINDS}
     single = of["one"] + of["outside"]
-    located = [one for one in results if one["joint"] is not None]
-    asked = [one for one in results if one["withheld"] is not None]
-    sizes = Counter(one["causes"][0][2] for one in results if one["outcome"] == "in class")
+    located = [result for result in results if result["joint"] is not None]
+    asked = [result for result in results if result["withheld"] is not None]
+    sizes = Counter(result["causes"][0][2] for result in results if result["outcome"] == "in class")
     return {
         "runs": len(results),
         "outcomes": {kind: counts(some) for kind, some in of.items()},
-        "all_of_two": share(of["two"], lambda one: one["all_named"]),
-        "all_of_three": share(of["three"], lambda one: one["all_named"]),
-        "further_wrong": share([one for one in results if len(one["causes"]) > 1], lambda one: one["more_wrong"] > 0),
-        "joint": share(located, lambda one: one["joint"]),
+        "all_of_two": share(of["two"], lambda result: result["all_named"]),
+        "all_of_three": share(of["three"], lambda result: result["all_named"]),
+        "further_wrong": share(
+            [result for result in results if len(result["causes"]) > 1], lambda result: result["more_wrong"] > 0
+        ),
+        "joint": share(located, lambda result: result["joint"]),
         "classes": {str(size): times for size, times in sorted(sizes.items())},
-        "withheld": dict(Counter(one["withheld"] for one in asked)),
-        "power": _power([one for one in of["one"] if one["size"] is not None]),
+        "withheld": dict(Counter(result["withheld"] for result in asked)),
+        "power": _power([result for result in of["one"] if result["size"] is not None]),
         "recorders": {
-            name: counts([one for one in of["one"] if one["recorder"] == name])
+            name: counts([result for result in of["one"] if result["recorder"] == name])
             for name in _distinct(of["one"], "recorder")
         },
-        "calibration": _calibration([one for one in results if one["probability"] is not None]),
+        "calibration": _calibration([result for result in results if result["probability"] is not None]),
         "effects": {
-            name: counts([one for one in single if one["effects"][0][0] == name])
-            for name in sorted({one["effects"][0][0] for one in single})
+            name: counts([result for result in single if result["effects"][0][0] == name])
+            for name in sorted({result["effects"][0][0] for result in single})
         },
     }
 
 
 def counts(results: Sequence[Result]) -> dict[str, int]:
     """Runs by outcome, all outcomes in order."""
-    found = Counter(one["outcome"] for one in results)
-    return {name: found[name] for name in OUTCOMES}
+    outcomes = Counter(result["outcome"] for result in results)
+    return {name: outcomes[name] for name in OUTCOMES}
 
 
 def share(results: Sequence[Result], holds: Callable[[Result], bool]) -> dict[str, Any]:
     """Of how many runs something holds, with its exact 95 % interval."""
-    hits = sum(bool(holds(one)) for one in results)
+    hits = sum(bool(holds(result)) for result in results)
     return {
         "count": hits,
         "of": len(results),
@@ -162,26 +166,26 @@ def share(results: Sequence[Result], holds: Callable[[Result], bool]) -> dict[st
 
 
 def _distinct(results: Sequence[Result], name: str) -> list[str]:
-    return list(dict.fromkeys(one[name] for one in results))
+    return list(dict.fromkeys(result[name] for result in results))
 
 
 def _power(results: Sequence[Result]) -> list[dict[str, Any]]:
     """Runs with one effect by its size; the smallest ones count as any other."""
     rows = []
     for low, high in pairwise(_SIZES):
-        here = [one for one in results if low <= one["size"] < high]
-        found = share(here, lambda one: one["outcome"] not in ("no gap", "no answer"))
-        right = share(here, lambda one: one["outcome"] in ("named", "in class"))
-        wrong = share(here, lambda one: one["outcome"] in _WRONG)
+        here = [result for result in results if low <= result["size"] < high]
+        detected = share(here, lambda result: result["outcome"] not in ("no gap", "no answer"))
+        right = share(here, lambda result: result["outcome"] in ("named", "in class"))
+        wrong = share(here, lambda result: result["outcome"] in _WRONG)
         upper = None if np.isinf(high) else high
-        rows.append({"from": low, "to": upper, "found": found, "right": right, "wrong": wrong, **counts(here)})
+        rows.append({"from": low, "to": upper, "found": detected, "right": right, "wrong": wrong, **counts(here)})
     return rows
 
 
 def _calibration(results: Sequence[Result]) -> dict[str, Any]:
     """How often the first cause's class holds a true effect, against its probability: bins, Brier score and ECE."""
-    said = np.array([one["probability"] for one in results], dtype=float)
-    true = np.array([one["outcome"] in ("named", "in class") for one in results], dtype=float)
+    said = np.array([result["probability"] for result in results], dtype=float)
+    true = np.array([result["outcome"] in ("named", "in class") for result in results], dtype=float)
     rows, error = [], 0.0
     for low, high in pairwise(_PROBABILITIES):
         here = (said >= low) & (said < high)

@@ -26,13 +26,13 @@ def _answered(folder: Path, without: Sequence[str]) -> dict[str, Any]:
     from agent.core import AgentError, finite
 
     try:
-        found = diagnose_run(folder, without)
+        result = diagnose_run(folder, without)
     except AgentError as error:
         return {"error": str(error)}
     except Exception as error:  # one run that breaks the diagnosis is a result, not the end of the check
         traceback.print_exc()
         return {"error": f"internal error in the diagnosis: {type(error).__name__}: {error}"}
-    return finite({"result": found})
+    return finite({"result": result})
 
 
 def diagnose_run(folder: Path, without: Sequence[str] = ()) -> dict[str, Any]:

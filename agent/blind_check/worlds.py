@@ -81,8 +81,8 @@ class SecondWorld:
         baseline = {"motion": truth["machine"], "effects": [], "describe": str(folder)}
         logs = {"motion": truth["motion"], "effects": truth["effects"], "folder": str(folder / "logs")}
         jobs = [{**machine, **baseline, "folder": str(folder / "baseline")}, {**machine, **logs}]
-        _, found = ask_world([*self._process, "run"], jobs)
-        return {"size": found["size"], "effects": found["effects"]}
+        _, answer = ask_world([*self._process, "run"], jobs)
+        return {"size": answer["size"], "effects": answer["effects"]}
 
 
 def world_of(name: str) -> World:

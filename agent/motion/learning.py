@@ -63,7 +63,7 @@ class Learner:
         self._forward = kinematics_for(robot).forward
         self._all = [(stretch, _Way.of(stretch.t, stretch.q)) for stretch in stretches]
         # A lone move from stop to stop adds nothing where others fly; it still counts in the errors.
-        self._taught = [one for one in self._all if any(move.fly for move in one[0].moves)] or self._all
+        self._taught = [pair for pair in self._all if any(move.fly for move in pair[0].moves)] or self._all
 
     def errors(self, parameters: FlyParameters) -> Errors:
         """Errors of a law.
@@ -146,7 +146,7 @@ class Learner:
         cost: Callable[[FlyParameters], float],
     ) -> FlyParameters:
         """The family of the lowest cost; of two that are about as good, the earlier one."""
-        best, least, left = None, np.inf, []
+        best, least, best_free = None, np.inf, []
         refused: MotionError | None = None
         for start, free in families:
             try:
@@ -155,12 +155,12 @@ class Learner:
                 refused = error
                 continue
             if best is None or trial_cost < _BETTER * least:
-                best, least, left = fitted, trial_cost, free
+                best, least, best_free = fitted, trial_cost, free
         if best is None:
             assert refused is not None
             raise refused
         for width in _FINER:
-            best, _ = _fitted(best, left, cost, width)
+            best, _ = _fitted(best, best_free, cost, width)
         return best
 
 

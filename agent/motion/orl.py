@@ -210,8 +210,8 @@ class OrlInterpolator:
     def _steps(self, chain: list[tuple[int, Move]], start: np.ndarray) -> np.ndarray:
         """Set-points (S, n) of moves from stop to stop."""
         announced = min(_MOST_ANNOUNCED, len(chain))
-        for (index, move), rest in zip(chain[:announced], (start, None), strict=False):
-            self._announce(index, move, rest)
+        for (index, move), standstill in zip(chain[:announced], (start, None), strict=False):
+            self._announce(index, move, standstill)
         steps: list[np.ndarray] = []
         while len(steps) * self.period <= _LONGEST:
             joints = self._joints()

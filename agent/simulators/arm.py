@@ -127,20 +127,20 @@ def described(arm: SimulatedArm, robot: RobotDescription | None) -> tuple[RobotD
         replace(joint, rotor_inertia=float(inertia) / joint.gear_ratio**2 or joint.rotor_inertia)
         for joint, inertia in zip(drives.joints, arm.armature, strict=True)
     )
-    found = replace(arm.robot, name=drives.name, cartesian_limits=drives.cartesian_limits, joints=joints)
+    description = replace(arm.robot, name=drives.name, cartesian_limits=drives.cartesian_limits, joints=joints)
     if robot is None:
-        return found, ()
-    _check_same_arm(arm, found, robot)
+        return description, ()
+    _check_same_arm(arm, description, robot)
     coupled = (
         "armature, damping and frictionloss of the file act on its joints, so the motor coupling of the description is "
         "no part of the simulator"
     )
-    return found, (coupled,) if np.any(robot.coupling - np.eye(robot.dof)) else ()
+    return description, (coupled,) if np.any(robot.coupling - np.eye(robot.dof)) else ()
 
 
-def _check_same_arm(arm: SimulatedArm, found: RobotDescription, robot: RobotDescription) -> None:
+def _check_same_arm(arm: SimulatedArm, description: RobotDescription, robot: RobotDescription) -> None:
     """Raise InputError where the angle or distance of neighbouring axes differs from that of `robot`."""
-    angles, distances, reach = _between_axes(found)
+    angles, distances, reach = _between_axes(description)
     wanted, apart, other_reach = _between_axes(robot)
     for k, (angle, distance) in enumerate(zip(np.abs(angles - wanted), np.abs(distances - apart), strict=True)):
         if angle > _ANGLE or distance > _LENGTH * max(reach, other_reach):
@@ -160,8 +160,10 @@ def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, floa
     axes, points, tip = map(np.asarray, chain_of(robot).axes_at_zero())
     normals, ways = np.cross(axes[:-1], axes[1:]), np.diff(points, axis=0)
     sines = np.linalg.norm(normals, axis=1)
-    beside = np.linalg.norm(np.cross(axes[:-1], ways), axis=1)  # of axes that are parallel
-    distances = np.where(sines > 1e-3, np.abs(np.sum(normals * ways, axis=1)) / np.maximum(sines, 1e-3), beside)
+    parallel_distances = np.linalg.norm(np.cross(axes[:-1], ways), axis=1)  # of axes that are parallel
+    distances = np.where(
+        sines > 1e-3, np.abs(np.sum(normals * ways, axis=1)) / np.maximum(sines, 1e-3), parallel_distances
+    )
     reach = float(np.sum(np.linalg.norm(np.diff([*points, tip[:3, 3]], axis=0), axis=1)))
     prismatic = np.array([joint.prismatic for joint in robot.joints])
     known = ~(prismatic[:-1] | prismatic[1:])  # the axis of a prismatic joint has no position

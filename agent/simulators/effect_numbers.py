@@ -46,10 +46,10 @@ def with_zero(robot: RobotDescription, joint: int, offset: float) -> RobotDescri
     return replace(robot, urdf=ElementTree.tostring(root, encoding="unicode"))
 
 
-def with_spring(stiffness: float, rest: float, added: tuple[float, float]) -> tuple[float, float] | None:
+def with_spring(stiffness: float, spring_rest: float, added: tuple[float, float]) -> tuple[float, float] | None:
     """Stiffness and rest position of a joint with a spring (constant, stiffness) added; None for one that pushes."""
     total = float(stiffness + added[1])
-    return (total, float(stiffness * rest - added[0]) / total) if total > 0 else None
+    return (total, float(stiffness * spring_rest - added[0]) / total) if total > 0 else None
 
 
 def further(entry: ModelEffect, numbers: SimulatorNumbers) -> list[ModelEffect]:
@@ -77,19 +77,19 @@ def in_numbers(model: IdentifiedModel) -> NumbersOfModel:
     """The model with its effects turned into numbers as far as these can say them."""
     robot, layout, b, n = model.robot, ParameterLayout.of(model.robot), len(model.independent), model.robot.dof
     values = model.values.copy()
-    left: list[ModelEffect] = []
+    remaining: list[ModelEffect] = []
     springs: list[ModelEffect] = []
     standard = None if model.standard is None else model.standard.copy()
-    stiffness, rest = np.zeros(n), np.zeros(n)
+    stiffness, spring_rest = np.zeros(n), np.zeros(n)
     for entry in model.effects:
         joints = [robot.joint_names.index(name) for name in entry.joints]
         numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, robot.load_link)
         levels = None if numbers is None else _levels(model, joints, numbers)
         if numbers is None or levels is None:
-            left.append(entry)
+            remaining.append(entry)
             continue
         if numbers.spring is not None:
-            (springs if _add_spring(stiffness, rest, joints[0], numbers.spring) else left).append(entry)
+            (springs if _add_spring(stiffness, spring_rest, joints[0], numbers.spring) else remaining).append(entry)
         if numbers.body is not None:
             link, block = numbers.body
             values[:b] += model.projection[:, layout.link(link)] @ block
@@ -101,7 +101,7 @@ def in_numbers(model: IdentifiedModel) -> NumbersOfModel:
             robot = tilted(robot, numbers.tilt)
         if numbers.zero is not None:
             robot = with_zero(robot, joints[0], numbers.zero)
-        left += further(entry, numbers)
+        remaining += further(entry, numbers)
     note = ""
     if not np.array_equal(values, model.values):
         if standard is not None and not all(map(is_body, layout.blocks(standard))):
@@ -109,14 +109,14 @@ def in_numbers(model: IdentifiedModel) -> NumbersOfModel:
         model, note = possible_model(replace(model, values=values, standard=standard))
     if robot is not model.robot:
         model = _on(robot, model)
-    return NumbersOfModel(replace(model, effects=tuple(left)), stiffness, rest, tuple(springs), note)
+    return NumbersOfModel(replace(model, effects=tuple(remaining)), stiffness, spring_rest, tuple(springs), note)
 
 
-def _add_spring(stiffness: np.ndarray, rest: np.ndarray, joint: int, added: tuple[float, float]) -> bool:
+def _add_spring(stiffness: np.ndarray, spring_rest: np.ndarray, joint: int, added: tuple[float, float]) -> bool:
     """Whether a joint could take the spring."""
-    spring = with_spring(stiffness[joint], rest[joint], added)
+    spring = with_spring(stiffness[joint], spring_rest[joint], added)
     if spring is not None:
-        stiffness[joint], rest[joint] = spring
+        stiffness[joint], spring_rest[joint] = spring
     return spring is not None
 
 
@@ -184,7 +184,7 @@ def usual_motion(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, np.nd
     time = np.arange(0.0, _SECONDS, 1 / _RATE)
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     size = np.maximum(0.5 * (high - low), 1e-6)
-    turn = np.minimum(robot.max_velocity / size, np.sqrt(robot.max_acceleration / size))
-    angle = np.outer(time, turn) + np.arange(robot.dof)
+    angular_frequency = np.minimum(robot.max_velocity / size, np.sqrt(robot.max_acceleration / size))
+    angle = np.outer(time, angular_frequency) + np.arange(robot.dof)
     q = 0.5 * (low + high) + size * np.sin(angle)
-    return time, q, size * turn * np.cos(angle), -size * turn**2 * np.sin(angle)
+    return time, q, size * angular_frequency * np.cos(angle), -size * angular_frequency**2 * np.sin(angle)

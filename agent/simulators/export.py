@@ -149,11 +149,11 @@ def _links(model: IdentifiedModel, standard: np.ndarray, lines: np.ndarray) -> l
     """The moving links from base to tip, for standard parameters (11 n,) and damping and friction `lines` (n, 2)."""
     robot = model.robot
     blocks, own = ParameterLayout.of(robot).blocks(standard), np.abs(np.diag(robot.coupling))
-    found = []
+    links = []
     for k, (joint, name, axis) in enumerate(zip(robot.joints, moved_links(robot), joint_axes(robot), strict=True)):
         pose = model.rigid.dynamics.link_poses(np.zeros((1, robot.dof)), name)[0]
-        found.append(_Link(joint, name, blocks[k], pose, axis, *map(float, lines[k] * (own[k] ** 2, own[k]))))
-    return found
+        links.append(_Link(joint, name, blocks[k], pose, axis, *map(float, lines[k] * (own[k] ** 2, own[k]))))
+    return links
 
 
 def body_texts(numbers: NumbersOfModel, standard: np.ndarray, lines: np.ndarray) -> tuple[str, str]:
@@ -230,31 +230,33 @@ def sdf_text(numbers: NumbersOfModel, links: Iterable[_Link]) -> str:
     def put(element: Element, tag: str, *numbers: float) -> None:
         SubElement(element, tag).text = digits(*numbers)
 
-    for k, one in enumerate(links):
-        link = SubElement(body, "link", name=one.name)
-        put(link, "pose", *one.pose[:3, 3], *rpy_of(one.pose))
-        inertial = SubElement(link, "inertial")
-        put(inertial, "pose", *one.centre, 0.0, 0.0, 0.0)
-        put(inertial, "mass", one.block[0])
-        inertia, tensor = about_centre(one.block), SubElement(inertial, "inertia")
+    for k, link in enumerate(links):
+        element = SubElement(body, "link", name=link.name)
+        put(element, "pose", *link.pose[:3, 3], *rpy_of(link.pose))
+        inertial = SubElement(element, "inertial")
+        put(inertial, "pose", *link.centre, 0.0, 0.0, 0.0)
+        put(inertial, "mass", link.block[0])
+        inertia, tensor = about_centre(link.block), SubElement(inertial, "inertia")
         for i in range(3):
             for j in range(i, 3):
                 put(tensor, f"i{'xyz'[i]}{'xyz'[j]}", inertia[i, j])
-        joint = SubElement(body, "joint", name=one.joint.name, type="prismatic" if one.joint.prismatic else "revolute")
-        SubElement(joint, "parent").text, SubElement(joint, "child").text = parent, one.name
+        joint = SubElement(
+            body, "joint", name=link.joint.name, type="prismatic" if link.joint.prismatic else "revolute"
+        )
+        SubElement(joint, "parent").text, SubElement(joint, "child").text = parent, link.name
         axis = SubElement(joint, "axis")
-        put(axis, "xyz", *one.axis)
+        put(axis, "xyz", *link.axis)
         limit, dynamics = SubElement(axis, "limit"), SubElement(axis, "dynamics")
-        for end, bound in (("lower", one.joint.lower), ("upper", one.joint.upper)):
+        for end, bound in (("lower", link.joint.lower), ("upper", link.joint.upper)):
             if np.isfinite(bound):
                 put(limit, end, bound)
-        put(limit, "velocity", one.joint.max_velocity)
-        put(dynamics, "damping", one.damping)
-        put(dynamics, "friction", one.friction)
+        put(limit, "velocity", link.joint.max_velocity)
+        put(dynamics, "damping", link.damping)
+        put(dynamics, "friction", link.friction)
         if numbers.stiffness[k]:
             put(dynamics, "spring_reference", numbers.rest[k])
             put(dynamics, "spring_stiffness", numbers.stiffness[k])
-        parent = one.name
+        parent = link.name
     return _document(root)
 
 

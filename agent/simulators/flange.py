@@ -62,15 +62,15 @@ def flange_of(robot: RobotDescription, wanted: str | None = None) -> Flange:
     if robot.tip_frame != last:
         return flange(robot.tip_frame, "the robot's tip_frame")
     named = [frame for frame in beyond if _USUAL.match(frame)]
-    found = [flange(frame, f"the usual name of a flange beyond {last}") for frame in named]
-    found = [one for one in found if _CONTROLLERS_OWN.match(one.frame)] or found
-    if any(np.abs(one.pose - found[0].pose).max() > _SAME for one in found):
-        listed = " and ".join(one.frame for one in found)
+    likely = [flange(frame, f"the usual name of a flange beyond {last}") for frame in named]
+    likely = [each for each in likely if _CONTROLLERS_OWN.match(each.frame)] or likely
+    if any(np.abs(each.pose - likely[0].pose).max() > _SAME for each in likely):
+        listed = " and ".join(each.frame for each in likely)
         raise InputError(
             f"{listed} of {robot.name} lie in different places, and each may be the flange: name the controller's "
-            f"with --flange {found[0].frame}, or as tip_frame in robot.yaml"
+            f"with --flange {likely[0].frame}, or as tip_frame in robot.yaml"
         )
-    return found[0] if found else flange(last, "the last moving link, as no frame beyond it is called like a flange")
+    return likely[0] if likely else flange(last, "the last moving link, as no frame beyond it is called like a flange")
 
 
 def _fixed_beyond(robot: RobotDescription) -> list[str]:
@@ -79,7 +79,7 @@ def _fixed_beyond(robot: RobotDescription) -> list[str]:
     for joint in ElementTree.fromstring(robot.urdf).findall("joint"):
         if joint.get("type") == "fixed":
             held.setdefault(end_of(joint, "parent"), []).append(end_of(joint, "child"))
-    found = [moved_links(robot)[-1]]
-    for frame in found:
-        found += [child for child in held.get(frame, ()) if child not in found]
-    return found[1:]
+    frames = [moved_links(robot)[-1]]
+    for frame in frames:
+        frames += [child for child in held.get(frame, ()) if child not in frames]
+    return frames[1:]

@@ -148,10 +148,10 @@ class ForwardSimulation:
     def run(self, reference: np.ndarray, reference_velocity: np.ndarray) -> SimulatedMotion:
         """Follow joint set-points (S, n) and their velocities, one per period."""
         references = self._inner_references(reference, reference_velocity)
-        found = self._march(references)
-        time = self.time + self.period * np.arange(len(found))
-        self.time += self.period * len(found)
-        q, v, motor_position, motor_velocity, motor_torque = (found[:, row].copy() for row in range(5))
+        states = self._march(references)
+        time = self.time + self.period * np.arange(len(states))
+        self.time += self.period * len(states)
+        q, v, motor_position, motor_velocity, motor_torque = (states[:, row].copy() for row in range(5))
         return SimulatedMotion(time, q, v, motor_position, motor_velocity, motor_torque, motor_torque @ self._coupling)
 
     def _march(self, references: np.ndarray) -> np.ndarray:
@@ -159,15 +159,15 @@ class ForwardSimulation:
         gains, steps = self._gains, self._substeps
         servo = np.array([gains.position, gains.velocity, gains.integral, gains.feedforward, gains.limit], dtype=float)
         arm = *self._dynamics.chain, self._coupling, self._rotors, servo, self._actuation.friction
-        found = np.empty((len(references) // steps, *self._state.shape))
+        states = np.empty((len(references) // steps, *self._state.shape))
         outside = np.zeros(len(self._rotors))
-        together = len(found) if self._external is None else 1
-        for k in range(0, len(found), max(together, 1)):
+        together = len(states) if self._external is None else 1
+        for k in range(0, len(states), max(together, 1)):
             if self._external is not None:
                 outside = self._external(self.time + k * self.period, self.position, self.velocity)
             part = references[k * steps : (k + together) * steps]
-            march(*arm, part, outside, steps, self.period / steps, self._state, found[k : k + together])
-        return found
+            march(*arm, part, outside, steps, self.period / steps, self._state, states[k : k + together])
+        return states
 
     def _inner_references(self, reference: np.ndarray, reference_velocity: np.ndarray) -> np.ndarray:
         """(S · substeps, 2, n) position and velocity of the axles: cubic Hermite from the last set-point given."""

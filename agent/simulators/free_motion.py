@@ -56,7 +56,7 @@ class ServoNumbers:
     @property
     def table(self) -> np.ndarray:
         """(5, n) in the order of the fields."""
-        return np.stack([getattr(self, one.name) for one in fields(self)])
+        return np.stack([getattr(self, each.name) for each in fields(self)])
 
     @classmethod
     def of_table(cls, table: np.ndarray) -> ServoNumbers:
@@ -65,7 +65,7 @@ class ServoNumbers:
 
 
 #: Kinds of numbers, in the order of `ServoNumbers.table`.
-KINDS = tuple(one.name for one in fields(ServoNumbers))
+KINDS = tuple(each.name for each in fields(ServoNumbers))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +97,12 @@ class RecordedCommand:
             return np.stack([at[late][:, j] for j, late in enumerate(delay.tolist())], axis=1)
         ends = np.append(self.time, self.time[-1] + np.median(np.diff(self.time)))
         area = np.concatenate([np.zeros((1, len(delay))), np.cumsum(self.set_points * np.diff(ends)[:, None], axis=0)])
-        found = np.empty((len(edges) - 1, len(delay)))
+        means = np.empty((len(edges) - 1, len(delay)))
         for j, late in enumerate(delay):
             at, first, last = edges - late, self.set_points[0, j], self.set_points[-1, j]
             outside = first * np.minimum(at - ends[0], 0.0) + last * np.maximum(at - ends[-1], 0.0)
-            found[:, j] = np.diff(np.interp(at, ends, area[:, j]) + outside) / np.diff(edges)
-        return found
+            means[:, j] = np.diff(np.interp(at, ends, area[:, j]) + outside) / np.diff(edges)
+        return means
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +161,12 @@ class FreeSimulator:
     def carrying(self, load: np.ndarray) -> FreeSimulator:
         """The same arm with a load: standard parameters (10,) that its link gains; as it is where no body has them."""
         body = self.arm.carrying[self.arm.robot.load_link]
-        found, model = copy(self), copy(self.model)
+        loaded, model = copy(self), copy(self.model)
         place, back = model.body(body.name).id, np.linalg.inv(body.pose)
         matrix = np.empty(9)
         self._mujoco.mju_quat2Mat(matrix, model.body_iquat[place])
-        mass, centre, turn = model.body_mass[place], model.body_ipos[place], matrix.reshape(3, 3)
-        spread = turn @ np.diag(0.5 * model.body_inertia[place].sum() - model.body_inertia[place]) @ turn.T
+        mass, centre, rotation = model.body_mass[place], model.body_ipos[place], matrix.reshape(3, 3)
+        spread = rotation @ np.diag(0.5 * model.body_inertia[place].sum() - model.body_inertia[place]) @ rotation.T
         own = np.block([[spread + mass * np.outer(centre, centre), mass * centre[:, None]], [mass * centre, mass]])
         whole = own + back @ pseudo_inertia(load) @ back.T
         mass, centre = whole[3, 3], whole[:3, 3] / whole[3, 3]
@@ -180,8 +180,8 @@ class FreeSimulator:
         self._mujoco.mju_mat2Quat(quaternion, axes.ravel())
         model.body_iquat[place] = quaternion
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
-        found.model = model
-        return found
+        loaded.model = model
+        return loaded
 
     @cached_property
     def creep(self) -> np.ndarray:

@@ -66,22 +66,22 @@ def matched(
     taken = {name: called for name, called in (names or {}).items() if called is not None}
     free = [name for name in in_file if name not in (names or {}) and name not in taken.values()]
     pairs = taken | joint_pairs(free, [name for name in wanted if name not in taken.values()])
-    found = {name: pairs[name] for name in in_file if name in pairs}
-    missing = [name for name in wanted if name not in found.values() and not is_gripper(name)]
-    if not found or (missing and names is None):
-        left = [name for name in in_file if name not in found]
+    matches = {name: pairs[name] for name in in_file if name in pairs}
+    missing = [name for name in wanted if name not in matches.values() and not is_gripper(name)]
+    if not matches or (missing and names is None):
+        unmatched = [name for name in in_file if name not in matches]
         likeliest = max(
-            (_proposed([one for one in arm if one in left], missing) for arm in arms()), key=len, default=[]
+            (_proposed([name for name in arm if name in unmatched], missing) for arm in arms()), key=len, default=[]
         )
-        example = _map_of(dict(likeliest or _proposed(left, missing)) or found)
+        example = _map_of(dict(likeliest or _proposed(unmatched, missing)) or matches)
         counts = f"{counted(len(in_file), 'joint')} in the file, {len(wanted)} in {owner}"
         fewer = f" {counts}: is it of this arm?" if len(in_file) < len(wanted) else ""
         raise InputError(
-            f"{path}: its joints don't match those of {owner}: matched {', '.join(found.values()) or 'none'}; only in "
-            f"{owner}: {', '.join(missing)}; only in the file: {', '.join(left) or 'none'}.{fewer} Say which is "
-            f"which with --map FILE, in YAML: joints: {example}"
+            f"{path}: its joints don't match those of {owner}: matched {', '.join(matches.values()) or 'none'}; only "
+            f"in {owner}: {', '.join(missing)}; only in the file: {', '.join(unmatched) or 'none'}.{fewer} Say which "
+            f"is which with --map FILE, in YAML: joints: {example}"
         )
-    return found
+    return matches
 
 
 def _map_of(pairs: Mapping[str, str | None]) -> str:
@@ -99,13 +99,13 @@ def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, 
     plain = {name: name.lower().replace("_", "") for name in (*in_file, *wanted)}
     plain = {name: own.replace("joint", "") or own for name, own in plain.items()}  # which does not identify one
     likeness = {(a, b): SequenceMatcher(None, plain[a], plain[b]).ratio() for a in in_file for b in wanted}
-    found: dict[str, str] = {}
+    pairs: dict[str, str] = {}
     for (a, b), alike in sorted(likeness.items(), key=lambda entry: -entry[1]):
-        if alike > _ALIKE and a not in found and b not in found.values():
-            found[a] = b
-    rest = [name for name in wanted if name not in found.values()]
-    found |= zip((name for name in in_file if name not in found), rest, strict=False)
-    return [(name, found[name]) for name in in_file if name in found]
+        if alike > _ALIKE and a not in pairs and b not in pairs.values():
+            pairs[a] = b
+    unpaired = [name for name in wanted if name not in pairs.values()]
+    pairs |= zip((name for name in in_file if name not in pairs), unpaired, strict=False)
+    return [(name, pairs[name]) for name in in_file if name in pairs]
 
 
 def leaving_out(used: Mapping[str, str], left_out: Collection[str]) -> str:

@@ -61,10 +61,10 @@ def load_simulator(
     owner, gravity = ("the logs", _GRAVITY) if robot is None else (f"robot {robot.name}", robot.gravity)
 
     def match(in_file: Sequence[str]) -> dict[str, str]:
-        found = matched(path, in_file, wanted, owner, names, lambda: _arms(path, root, lambda name: True))
+        matches = matched(path, in_file, wanted, owner, names, lambda: _arms(path, root, lambda name: True))
         chosen = {name for name, called in (names or {}).items() if called is not None}
-        arms = [arm for arm in _arms(path, root, lambda name: name in found) if chosen <= {*arm}] if chosen else []
-        return {name: found[name] for name in in_file if name in arms[0]} if arms else found
+        arms = [arm for arm in _arms(path, root, lambda name: name in matches) if chosen <= {*arm}] if chosen else []
+        return {name: matches[name] for name in in_file if name in arms[0]} if arms else matches
 
     arm = _arm(path, root, match, gravity)
     if len(arm.joint_names) > _MOST_JOINTS:
@@ -82,9 +82,9 @@ def load_simulator(
     description, said = described(arm, robot)
     provenance: dict[str, object] = {"simulator": path.name, "sha256": hashlib.sha256(text).hexdigest()}
     model = model_of(arm, description, provenance)
-    left = [name for name in wanted if name not in arm.joint_names]
+    uncompared = [name for name in wanted if name not in arm.joint_names]
     why = "the file has no such joint" if names is None else "the map leaves it out"
-    ignored = (f"not compared of the logs: {', '.join(left)} ({why})",) if left else ()
+    ignored = (f"not compared of the logs: {', '.join(uncompared)} ({why})",) if uncompared else ()
     return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))
 
 
@@ -151,8 +151,8 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
 def _arms(path: Path, root: Element, takes: Callable[[str], bool]) -> list[tuple[str, ...]]:
     """Joints of the branches that it takes, base to tip, without branches that are part of another."""
     chains = chains_of(root) if root.tag == "robot" else branches_of(path)
-    found = {tuple(name for name in chain if takes(name)): None for chain in chains}
-    return [arm for arm in found if arm and not any(set(arm) < set(other) for other in found)]
+    branches = {tuple(name for name in chain if takes(name)): None for chain in chains}
+    return [arm for arm in branches if arm and not any(set(arm) < set(other) for other in branches)]
 
 
 def _content(path: Path) -> tuple[bytes, Element]:

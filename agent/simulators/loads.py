@@ -124,7 +124,7 @@ def _at_least_a_point(entry: ModelEffect) -> ModelEffect:
 
 
 def _errors(
-    entry: ModelEffect, turn: np.ndarray, unfelt: np.ndarray
+    entry: ModelEffect, rotation: np.ndarray, unfelt: np.ndarray
 ) -> tuple[float | None, np.ndarray | None, float | None]:
     """Half the 95 % intervals of mass [kg], centre (3,) [m] turned by `turn`, infinite if `unfelt`, inertia [kg·m²]."""
     half = {name: (high - low) / 2 for name, (low, high) in entry.intervals.items()}
@@ -133,7 +133,7 @@ def _errors(
     mass, moment = entry.parameters["mass"], np.array([entry.parameters[name] for name in _MOMENT])
     own = np.where(unfelt, _UNFELT, [half.get(name, 0.0) for name in _MOMENT])
     along = np.hypot(own / mass, moment / mass * half["mass"] / mass)
-    centre = np.sqrt(turn.T**2 @ along**2)
+    centre = np.sqrt(rotation.T**2 @ along**2)
     return half["mass"], np.where(centre > 1.0, np.inf, centre), half.get("inertia")
 
 
@@ -143,15 +143,15 @@ def _universal_robots(load: IdentifiedLoad) -> str:
 
 
 def _abb(load: IdentifiedLoad) -> str:
-    moments, turn = load.principal()
-    x, y, z, w = turn.as_quat()
+    moments, rotation = load.principal()
+    x, y, z, w = rotation.as_quat()
     parts = f"[{_listed(1e3 * load.centre)}],[{_listed([w, x, y, z])}],{_listed(moments)}"
     return f"PERS loaddata identified_load:=[{_number(load.mass)},{parts}];"
 
 
 def _kuka(load: IdentifiedLoad) -> str:
-    moments, turn = load.principal()
-    places = (*1e3 * load.centre, *np.degrees(turn.as_euler("ZYX")))
+    moments, rotation = load.principal()
+    places = (*1e3 * load.centre, *np.degrees(rotation.as_euler("ZYX")))
     centre = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZABC", places, strict=True))
     own = ",".join(f"{key} {_number(value)}" for key, value in zip("XYZ", moments, strict=True))
     return f"; 1 stands for the number of the tool\nLOAD_DATA[1]={{M {_number(load.mass)},CM {{{centre}}},J {{{own}}}}}"

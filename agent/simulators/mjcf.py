@@ -205,10 +205,10 @@ class _Scene:
     def _equalities(self) -> Iterator[str]:
         model, kinds = self.model, self.mujoco.mjtEq
         for k in np.flatnonzero(model.eq_active0).tolist():
-            kind, one, two = model.eq_type[k], int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+            kind, first, second = model.eq_type[k], int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
             if kind == kinds.mjEQ_CONNECT or kind == kinds.mjEQ_WELD:
                 of_sites = model.eq_objtype[k] == self.mujoco.mjtObj.mjOBJ_SITE
-                ends = model.site_bodyid[[one, two]].tolist() if of_sites else [one, two]
+                ends = model.site_bodyid[[first, second]].tolist() if of_sites else [first, second]
                 links = self.link_of[ends]
                 if links[0] != links[1] and links.max() > 0:
                     yield (
@@ -216,11 +216,11 @@ class _Scene:
                         f"and {model.body(ends[1]).name!r}: a serial arm is compared; make an open chain of it, or "
                         "delete it"
                     )
-            elif kind == kinds.mjEQ_JOINT and one in self.chosen:
-                other = "a constant" if two < 0 else repr(model.joint(two).name)
+            elif kind == kinds.mjEQ_JOINT and first in self.chosen:
+                other = "a constant" if second < 0 else repr(model.joint(second).name)
                 yield (
-                    f"joint {self.names[one]!r} follows {other} (equality), and joints that all move on their own are "
-                    f"compared: {leaving_out(self.used, [self.names[one]])}"
+                    f"joint {self.names[first]!r} follows {other} (equality), and joints that all move on their own "
+                    f"are compared: {leaving_out(self.used, [self.names[first]])}"
                 )
 
     def _tendons(self) -> Iterator[str]:

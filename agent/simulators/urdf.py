@@ -100,13 +100,13 @@ def chains_of(root: Element) -> list[list[str]]:
 def _paths(root: Element) -> list[list[Element]]:
     """For every joint, the joints from the base to it."""
     by_child = {end_of(joint, "child"): joint for joint in root.findall("joint")}
-    found = []
+    paths = []
     for joint in by_child.values():
         path = [joint]
         while (parent := by_child.get(end_of(path[0], "parent"))) is not None and parent not in path:
             path.insert(0, parent)
-        found.append(path)
-    return found
+        paths.append(path)
+    return paths
 
 
 def _check_radians(path: Path, root: Element) -> None:
@@ -138,7 +138,7 @@ def _refuse_followers(path: Path, elements: Mapping[str, Element], used: Mapping
             leader = mimic.get("joint", "")
             raise InputError(
                 f"{path}: joint {name!r} follows {leader!r} (mimic), and joints that all move on their own are "
-                f"compared: {leaving_out(used, [one for one in used if one in (name, leader)])}"
+                f"compared: {leaving_out(used, [joint for joint in used if joint in (name, leader)])}"
             )
 
 
@@ -203,8 +203,8 @@ def digits(*numbers: float) -> str:
 
 def child_of(element: Element, name: str) -> Element:
     """The first child of that name, added if missing."""
-    found = element.find(name)
-    return SubElement(element, name) if found is None else found
+    child = element.find(name)
+    return SubElement(element, name) if child is None else child
 
 
 def end_of(joint: Element, which: str) -> str:

@@ -141,17 +141,17 @@ class CartesianCorner(Corner):
     def poses(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Position (S, 3) [m] and orientation (S, 4) in the blend, and the straight ways in joint space (S, n); None
         where the pose alone says what the joints are."""
-        one, two = self.sigma(tau)
-        orientation = self._turned(tau, one, two)
+        sigma_one, sigma_two = self.sigma(tau)
+        orientation = self._turned(tau, sigma_one, sigma_two)
         if self.through:
             at_corner, half = self.after.turn.orientation(np.zeros(1)), np.array([0.5])
             missing = rotation.multiply(at_corner, rotation.conjugate(self._turned(half, *self.sigma(half))))[0]
             pull = rotation.from_rotation_vector(bump(tau)[:, None] * rotation.rotation_vector(missing))
             orientation = rotation.multiply(pull, orientation)
-        leaving, arriving, near = self.before.near(one), self.after.near(two), None
+        leaving, arriving, near = self.before.near(sigma_one), self.after.near(sigma_two), None
         if leaving is not None and arriving is not None and self.after.ends is not None:
             near = leaving + arriving - self.after.ends[0]
-        return self._position(tau, one, two), orientation, near
+        return self._position(tau, sigma_one, sigma_two), orientation, near
 
     def lengths(self) -> tuple[np.ndarray, np.ndarray]:
         """Lengths of its cells (cells,) [m], and at `tau` how far the two moves add up (cells + 1,), 0..1."""
@@ -174,17 +174,17 @@ class CartesianCorner(Corner):
         return before.way, after.way
 
     def _pull(self) -> np.ndarray:
-        one, two = self.sigma(np.array([0.5]))
+        sigma_one, sigma_two = self.sigma(np.array([0.5]))
         point = self.after.curve.position(np.zeros(1))
-        return 2.0 * point - self.before.curve.position(one) - self.after.curve.position(two)
+        return 2.0 * point - self.before.curve.position(sigma_one) - self.after.curve.position(sigma_two)
 
-    def _position(self, tau: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    def _position(self, tau: np.ndarray, sigma_one: np.ndarray, sigma_two: np.ndarray) -> np.ndarray:
         """(S, 3) at parameters of the move before and the move after."""
         point = self.after.curve.position(np.zeros(1))
-        positions = self.before.curve.position(one) + self.after.curve.position(two) - point
+        positions = self.before.curve.position(sigma_one) + self.after.curve.position(sigma_two) - point
         return positions + bump(tau)[:, None] * self._pull() if self.through else positions
 
-    def _turned(self, tau: np.ndarray, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    def _turned(self, tau: np.ndarray, sigma_one: np.ndarray, sigma_two: np.ndarray) -> np.ndarray:
         """(S, 4) the orientation there, not yet pulled through the point."""
         before, after = self.before.turn, self.after.turn
         if self.step.turn == "slerp":
@@ -192,18 +192,20 @@ class CartesianCorner(Corner):
             u = tau + (float(self.step.value(np.ones(1))[0]) - 1.0) * tau * (1.0 - tau) * (1.0 - 2.0 * tau)
             leaving = before.orientation(1.0 - self.out * (1.0 - u))
             between = rotation.multiply(rotation.conjugate(leaving), after.orientation(self.into * u))
-            vectors = np.stack([rotation.rotation_vector(one) for one in between])
+            vectors = np.stack([rotation.rotation_vector(quaternion) for quaternion in between])
             return rotation.multiply(leaving, rotation.from_rotation_vector(u[:, None] * vectors))
         at_corner = after.orientation(np.zeros(1))
-        return products(before.orientation(one), products(rotation.conjugate(at_corner), after.orientation(two)))
+        return products(
+            before.orientation(sigma_one), products(rotation.conjugate(at_corner), after.orientation(sigma_two))
+        )
 
     def _rates(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """ds/dτ (S,) of the blend, and of its two moves one after the other."""
         before, after = self.before, self.after
         rate_one, rate_two = self.step.rate(tau, self.out, self.into)
         if self._ways is not None:
-            one, two = self._ways
-            squares = rate_one * (rate_one * (one @ one) + rate_two * (2.0 * (one @ two))) + rate_two**2 * (two @ two)
+            a, b = self._ways
+            squares = rate_one * (rate_one * (a @ a) + rate_two * (2.0 * (a @ b))) + rate_two**2 * (b @ b)
         else:
             sigma_one, sigma_two = self.sigma(tau)
             velocity = rate_one[:, None] * before.curve.derivative(sigma_one)

@@ -106,11 +106,11 @@ class _Blocks:
         border = np.concatenate(([0.0], np.minimum(self.speed[:-1], self.speed[1:]), [0.0]))
         for order, rate in ((range(count), self.up), (reversed(range(count)), self.down)):
             for k in order:
-                one, other = (k, k + 1) if rate is self.up else (k + 1, k)
+                behind, ahead = (k, k + 1) if rate is self.up else (k + 1, k)
                 if self.corner[k]:
-                    border[other] = min(border[other], border[one])
+                    border[ahead] = min(border[ahead], border[behind])
                 else:
-                    border[other] = self._reached(border[one], border[other], length[k], rate[k], jerk)
+                    border[ahead] = self._reached(border[behind], border[ahead], length[k], rate[k], jerk)
         phases = [phase for k in range(count) for phase in self._phases(k, border[k], border[k + 1], length[k], jerk)]
         times, acceleration, jerks = np.array(phases).T
         gained = times * (acceleration + 0.5 * jerks * times)

@@ -168,10 +168,10 @@ def euler_angles(start: np.ndarray, end: np.ndarray, world: np.ndarray) -> Euler
     first, last = (rotation.to_matrix(rotation.multiply(world, q)) for q in (start, end))
     a, b = rotation.to_euler(first), rotation.to_euler(last)
     # Where the middle angle is 0 or π only the sum (difference) of the others is defined: the other end says which.
-    for one, other in ((a, b), (b, a)):
-        if np.sin(one[1]) < 1e-9:
-            one[2] += (one[0] - other[0]) * np.sign(np.cos(one[1]))
-            one[0] = other[0]
+    for angles, other in ((a, b), (b, a)):
+        if np.sin(angles[1]) < 1e-9:
+            angles[2] += (angles[0] - other[0]) * np.sign(np.cos(angles[1]))
+            angles[0] = other[0]
     change = b - a
     change[[0, 2]] = (change[[0, 2]] + np.pi) % (2.0 * np.pi) - np.pi
     return EulerAngles(a, change, rotation.conjugate(world))

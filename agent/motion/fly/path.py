@@ -156,7 +156,11 @@ def _body(
         skip = 0 if k == 0 else 1
         sigma, steps = (begin + travel / segment.metric)[skip:], np.diff(travel, prepend=travel[:1] if k == 0 else [])
         body.append(_on_segment(2 * (first + k), segment, sigma, steps))
-        body += [_on_corner(2 * (first + k) + 1, one) for one in inner[k : k + 1] if isinstance(one, CartesianCorner)]
+        body += [
+            _on_corner(2 * (first + k) + 1, corner)
+            for corner in inner[k : k + 1]
+            if isinstance(corner, CartesianCorner)
+        ]
     return body
 
 
@@ -222,13 +226,13 @@ def _joint_corner(
     if corner.through:
         middle = corner.cells // 2
         q = q + bump(tau)[:, None] * (at_corner - q[middle])
-    one, two = corner.sigma(tau)
+    sigma_one, sigma_two = corner.sigma(tau)
     moves = [np.linalg.norm(np.diff(way, axis=0) / speeds, axis=1) for way in (q, running_out, running_in)]
     along = np.minimum(moves[0] / np.maximum(moves[1] + moves[2], 1e-300), 1.0)
     count = corner.cells - 1
     return _PathPart(
         np.full(count, block),
-        corner.before.metric * np.diff(one) + corner.after.metric * np.diff(two),
+        corner.before.metric * np.diff(sigma_one) + corner.after.metric * np.diff(sigma_two),
         corner.moves(tau[1:-1]),
         0.5 * (along[:-1] + along[1:]) if corner.overlap else np.ones(count),
         q=q[1:-1],
@@ -294,17 +298,17 @@ def _cells(length: float, first: float | None, last: float | None, largest: floa
         return np.zeros(1)
     left, right = [], []
     a, b = first or largest, last or largest
-    rest = length
-    while rest > 0 and min(a, b) < largest:
+    remaining = length
+    while remaining > 0 and min(a, b) < largest:
         if a <= b:
             left.append(a)
-            rest -= a
+            remaining -= a
             a = min(1.5 * a, largest)
         else:
             right.append(b)
-            rest -= b
+            remaining -= b
             b = min(1.5 * b, largest)
-    middle = max(int(np.ceil(rest / largest)), 0)
-    sizes = np.array([*left, *([rest / max(middle, 1)] * middle), *right[::-1]])
+    middle = max(int(np.ceil(remaining / largest)), 0)
+    sizes = np.array([*left, *([remaining / max(middle, 1)] * middle), *right[::-1]])
     points = np.concatenate(([0.0], np.cumsum(sizes)))
     return points * (length / points[-1])

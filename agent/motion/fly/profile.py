@@ -103,7 +103,7 @@ def shape_of(path: Path, smooth: bool = True) -> PathShape:
     else:
         pieces = [_piece(path.s[a : b + 1], rows[:, a : b + 1]) for a, b in pairwise(path.borders)]
         coefficients = np.concatenate(pieces, axis=2)
-    (first, second, third), (travel, turn) = derivatives(coefficients, path.s[-1] - path.s[-2], path.orientation)
+    (first, second, third), (travel, rotation) = derivatives(coefficients, path.s[-1] - path.s[-2], path.orientation)
     return PathShape(
         path,
         coefficients,
@@ -111,7 +111,7 @@ def shape_of(path: Path, smooth: bool = True) -> PathShape:
         second[:n],
         third[:n],
         *_along_and_across(*travel),
-        *_along_and_across(*turn),
+        *_along_and_across(*rotation),
         smooth,
     )
 

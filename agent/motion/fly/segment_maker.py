@@ -85,8 +85,8 @@ class SegmentMaker:
         """(7,) position [m] and orientation (unit quaternion) of the interpolator's own TCP at joints (n,)."""
         return np.concatenate(_pose_of(self.kinematics, q))
 
-    def segment(self, index: int, move: Move, pending: Sequence[Segment], rest: np.ndarray) -> Segment | None:
-        """The segment of a move that follows `pending` ones, which started at `rest` (n,); None where it moves nothing.
+    def segment(self, index: int, move: Move, pending: Sequence[Segment], stop: np.ndarray) -> Segment | None:
+        """The segment of a move that follows `pending` ones, from a stop at `stop` (n,); None where it moves nothing.
 
         Raises:
             MotionError: a target out of reach or beyond a joint limit, three points that make no circle.
@@ -97,7 +97,7 @@ class SegmentMaker:
         _check(settings, label)
         kinematics = self._with_tool(settings)
         if move.type is MoveType.JOINT:
-            start = _end_joints(pending, rest)
+            start = _end_joints(pending, stop)
             end = self._joints(index, label, move, kinematics, start)
             if not settings.multi_turn:
                 end = np.where(self._turning, start + (end - start + np.pi) % (2 * np.pi) - np.pi, end)
@@ -105,32 +105,32 @@ class SegmentMaker:
                 return None
             duration = float(np.max(np.abs(end - start) / self._speeds))
             return JointSegment(index, label, settings, kinematics, start, end, duration)
-        return self._cartesian(index, label, move, kinematics, pending, rest)
+        return self._cartesian(index, label, move, kinematics, pending, stop)
 
     def _cartesian(
-        self, index: int, label: str, move: Move, kinematics: Kinematics, pending: Sequence[Segment], rest: np.ndarray
+        self, index: int, label: str, move: Move, kinematics: Kinematics, pending: Sequence[Segment], stop: np.ndarray
     ) -> Segment | None:
         settings = PathSettings.of(move.settings)
         style = settings.orientation
         if style is OrientationType.WRIST_JNT:
             reason = "$ORNT_TYPE WRIST_JNT is not planned; use RS_WORLD, or MOVE JOINT through the singularity"
             raise MotionError(f"{label}: {reason}", index, "orientation", 1.0)
-        start, start_turn = self._end_pose(pending, rest, kinematics)
+        start, start_turn = self._end_pose(pending, stop, kinematics)
         end, end_turn = self._pose(label, move.target, move.settings, kinematics)
         curve: Line | Arc = Line(start, end)
         if move.type is MoveType.CIRCULAR:
             curve = self._arc(index, label, move, kinematics, start, end)
         if style is OrientationType.EUL_WORLD:
             world = rotation.from_matrix(matrix_of(move.settings.base)[:3, :3])
-            turn: SingleAxis | EulerAngles = euler_angles(start_turn, end_turn, world)
+            orientation: SingleAxis | EulerAngles = euler_angles(start_turn, end_turn, world)
         else:
             along = isinstance(curve, Arc) and style is OrientationType.RS_TRAJ
-            turn = single_axis(start_turn, end_turn, curve if along else None)
+            orientation = single_axis(start_turn, end_turn, curve if along else None)
         careful = settings.configuration_care or settings.turn_care
         flags = move.target.configuration if careful and isinstance(move.target, CartesianTarget) else ""
-        segment = CartesianSegment(index, label, settings, kinematics, curve, turn, flags, lever=self._lever)
+        segment = CartesianSegment(index, label, settings, kinematics, curve, orientation, flags, lever=self._lever)
         if self.robot.dof > 6:
-            segment = replace(segment, ends=self._ends(segment, move.target, _end_joints(pending, rest)))
+            segment = replace(segment, ends=self._ends(segment, move.target, _end_joints(pending, stop)))
         return None if segment.curve.length < _NOTHING and segment.angle < _NOTHING else segment
 
     def _ends(self, segment: CartesianSegment, target: Target, start: np.ndarray) -> np.ndarray:
@@ -140,12 +140,12 @@ class SegmentMaker:
         return np.array([start, _end_of_sweep(segment, start)])
 
     def _end_pose(
-        self, pending: Sequence[Segment], rest: np.ndarray, kinematics: Kinematics
+        self, pending: Sequence[Segment], stop: np.ndarray, kinematics: Kinematics
     ) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the TCP after the pending moves: exactly the last target where that has the same TCP."""
         if pending and isinstance(pending[-1], CartesianSegment) and pending[-1].kinematics is kinematics:
             return pending[-1].curve.last, pending[-1].turn.last
-        return _pose_of(kinematics, _end_joints(pending, rest))
+        return _pose_of(kinematics, _end_joints(pending, stop))
 
     def _arc(
         self, index: int, label: str, move: Move, kinematics: Kinematics, start: np.ndarray, end: np.ndarray
@@ -212,7 +212,7 @@ def _pose_of(kinematics: Kinematics, q: np.ndarray) -> tuple[np.ndarray, np.ndar
     return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])
 
 
-def _end_joints(pending: Sequence[Segment], rest: np.ndarray) -> np.ndarray:
+def _end_joints(pending: Sequence[Segment], stop: np.ndarray) -> np.ndarray:
     """Joints (n,) at the end of the pending moves: given by the last one, or found by sweeping the Cartesian ones."""
     trailing: list[CartesianSegment] = []
     for segment in reversed(pending):
@@ -220,7 +220,7 @@ def _end_joints(pending: Sequence[Segment], rest: np.ndarray) -> np.ndarray:
             break
         trailing.insert(0, segment)
     first = len(pending) - len(trailing)
-    q = rest if first == 0 else pending[first - 1].end  # type: ignore[union-attr]
+    q = stop if first == 0 else pending[first - 1].end  # type: ignore[union-attr]
     for segment in trailing:
         q = _end_of_sweep(segment, q) if segment.ends is None else segment.ends[1]
     return q

@@ -123,12 +123,12 @@ class JointTrajectoryLaw:
         q, qd, qdd = spline.at(t)
         lower, upper = self.robot.position_limits
         way = np.minimum(upper - lower, 2 * np.pi)
-        found = {
+        excesses = {
             "position": np.maximum(q - upper, lower - q).max(axis=0) / way - _ROUNDING,
             "speed": np.abs(qd).max(axis=0) / self.robot.max_velocity - 1.0 - 3 * _ROUNDING,
             "acceleration": np.abs(qdd).max(axis=0) / self.robot.max_acceleration - 1.0 - 1e-4,
         }
-        for what, excess in found.items():
+        for what, excess in excesses.items():
             joint = int(np.argmax(excess))
             if not excess[joint] <= 0.0:
                 name = self.robot.joint_names[joint]
@@ -170,8 +170,10 @@ class _SplineTrajectory(Trajectory):
 
     @cached_property
     def binding(self) -> tuple[BindingLimit, ...]:
-        found = [(began, one) for began, limits in self.__dict__["_binding"] for one in limits()]
-        return tuple(BindingLimit(one.limit, began + one.start, began + one.end) for began, one in found)
+        stretches = [(began, stretch) for began, limits in self.__dict__["_binding"] for stretch in limits()]
+        return tuple(
+            BindingLimit(stretch.limit, began + stretch.start, began + stretch.end) for began, stretch in stretches
+        )
 
 
 def _of_points(moves: Sequence[Move], start: np.ndarray) -> JointSpline:

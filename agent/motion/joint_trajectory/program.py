@@ -189,7 +189,7 @@ def _header(data: dict[str, Any], robot: RobotDescription | None) -> tuple[str, 
     name, joints = data["program"], tuple(data["joint_names"])
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
         raise ValueError("the name of a program is a letter, then letters, digits and _")
-    if not joints or not all(isinstance(one, str) for one in joints) or len(set(joints)) != len(joints):
+    if not joints or not all(isinstance(joint, str) for joint in joints) or len(set(joints)) != len(joints):
         raise ValueError("joint_names has to name every joint once")
     if robot is not None and joints != tuple(robot.joint_names):
         raise ValueError(f"it is for {', '.join(joints)}; {robot.name} has {', '.join(robot.joint_names)}")
@@ -224,7 +224,7 @@ def _points(goal: dict[str, Any], joints: tuple[str, ...], number: int) -> Itera
     trajectory = goal["trajectory"]
     if tuple(trajectory["joint_names"]) != joints:
         raise ValueError("the joints of a goal have to be those of the program, in its order")
-    limits = {one["name"]: float(one["position"]) for one in goal["path_tolerance"]}
+    limits = {tolerance["name"]: float(tolerance["position"]) for tolerance in goal["path_tolerance"]}
     if set(limits) != set(joints) or not all(0.0 < limit <= 2 * PATH_TOLERANCE for limit in limits.values()):
         raise ValueError(
             f"path_tolerance has to give every joint a position above 0 and at most {2 * PATH_TOLERANCE:g}"

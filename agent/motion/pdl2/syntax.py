@@ -384,8 +384,8 @@ def _for_arm(*words: Token) -> None:
         raise Pdl2Error("is another arm; programs of arm 1 are read here", place_of(words[-1]))
 
 
-def _program(name: Token, attributes: tuple[Attribute, ...], *rest: Any) -> ProgramTree:
-    *sections, (cycle, block, end) = rest
+def _program(name: Token, attributes: tuple[Attribute, ...], *parts: Any) -> ProgramTree:
+    *sections, (cycle, block, end) = parts
     return ProgramTree(name, attributes, tuple(entry for section in sections for entry in section), cycle, block, end)
 
 
@@ -426,9 +426,9 @@ _RULES: dict[str, Callable[..., Any]] = {
     "named_type": lambda word, _arm: NamedType(word),
     "array_type": lambda _array, size, word, _arm: NamedType(word, size),
     "for_arm": _for_arm,
-    "body": lambda _begin, *rest: (len(rest) == 4, rest[-3], rest[-1]),
+    "body": lambda _begin, *parts: (len(parts) == 4, parts[-3], parts[-1]),
     "assignment": lambda target, value: Assignment(target.word, target, value),
-    "for_loop": lambda word, variable, *rest: ForLoop(word, Name(variable), *rest),
+    "for_loop": lambda word, variable, *parts: ForLoop(word, Name(variable), *parts),
     "direction": lambda word: word.upper() == "DOWNTO",
     "delay": DelayStatement,
     "move": _move,

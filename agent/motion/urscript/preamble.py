@@ -71,11 +71,11 @@ def check_margin(text: str, path: str) -> None:
         UrScriptError: names path and line.
     """
     rows, source = rows_of(text), text.split("\n")
-    left = [number for number, _ in rows if not source[number - 1].startswith((" ", "\t"))]
-    if left != (edges := [rows[0][0], rows[-1][0]]):
+    at_margin = [number for number, _ in rows if not source[number - 1].startswith((" ", "\t"))]
+    if at_margin != (edges := [rows[0][0], rows[-1][0]]):
         raise UrScriptError(
-            f"{path}:{min(set(left) ^ set(edges))}: `def NAME():` and the last `end` begin at the left edge, and no "
-            "line between them does: the controller takes the program for ended there"
+            f"{path}:{min(set(at_margin) ^ set(edges))}: `def NAME():` and the last `end` begin at the left edge, and "
+            "no line between them does: the controller takes the program for ended there"
         )
 
 

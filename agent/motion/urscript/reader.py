@@ -71,8 +71,8 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "pose_trans": lambda first, second: first @ second,
     "pose_inv": np.linalg.inv,
     "get_inverse_kin": lambda pose, *near: pose,
-    **{one.__name__: one for one in (math.acos, math.asin, math.atan, math.atan2)},
-    **{one.__name__: one for one in (math.cos, math.sin, math.sqrt, math.tan)},
+    **{each.__name__: each for each in (math.acos, math.asin, math.atan, math.atan2)},
+    **{each.__name__: each for each in (math.cos, math.sin, math.sqrt, math.tan)},
 }
 
 

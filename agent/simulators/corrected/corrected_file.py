@@ -60,7 +60,7 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
         changes += _servo_changes(correction, edits)
     files = edits.files()
     _read_back(correction, simulator, files, out)
-    beside, effects = written_files(out)
+    changes_path, effects = written_files(out)
     code = effects_text(correction, source.name, out.name)
     document = {
         "schema": SCHEMA,
@@ -75,10 +75,10 @@ def write_corrected(simulator: Simulator, correction: Correction, out: Path) -> 
     }
     for path, content in files.items():
         write_atomically(path, content.decode("utf-8"))
-    write_atomically(beside, json.dumps(document, indent=1, allow_nan=False))
+    write_atomically(changes_path, json.dumps(document, indent=1, allow_nan=False))
     if code is not None:
         write_atomically(effects, code)
-    return (*files, beside, *([] if code is None else [effects]))
+    return (*files, changes_path, *([] if code is None else [effects]))
 
 
 def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[Change]:

@@ -85,14 +85,14 @@ def correct(
             friction[term.axle, _FRICTION.index(term.form)] = change[b + k]
     layout = ParameterLayout.of(model.robot)
     arm = given
-    left: list[ModelEffect] = []
+    remaining: list[ModelEffect] = []
     for entry in effects:
         reason = reasons.get((entry.effect, entry.joints), entry.effect)
         joints = [names.index(name) for name in entry.joints]
         numbers = CATALOGUE[entry.effect].simulator_numbers(entry.parameters, model.robot.load_link)
         spring = None if numbers is None or numbers.spring is None else _spring(arm, joints[0], numbers.spring)
         if numbers is None or (numbers.spring is not None and spring is None):
-            left += [entry] if CATALOGUE[entry.effect].of_the_arm else []
+            remaining += [entry] if CATALOGUE[entry.effect].of_the_arm else []
             continue
         if numbers.body is not None:
             link, block = numbers.body
@@ -107,10 +107,10 @@ def correct(
             arm = replace(arm, robot=with_zero(arm.robot, joints[0], numbers.zero))
             released.offsets[joints[0]] = numbers.zero
         if spring is not None:
-            stiffness, rest = _put(arm.stiffness, joints[0], spring[0]), _put(arm.rest, joints[0], spring[1])
-            arm = replace(arm, stiffness=stiffness, rest=rest)
+            stiffness, spring_rest = _put(arm.stiffness, joints[0], spring[0]), _put(arm.rest, joints[0], spring[1])
+            arm = replace(arm, stiffness=stiffness, rest=spring_rest)
             released.springs[joints[0]] = reason
-        left += further(entry, numbers)
+        remaining += further(entry, numbers)
     moved = np.maximum(np.stack([given.frictionloss, given.damping], axis=1) + friction, 0.0)
     arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
     notes = []
@@ -121,10 +121,10 @@ def correct(
     fixed = model_of(arm, description, dict(model.provenance))
     fixed = replace(
         fixed,
-        effects=(*fixed.effects, *left),
+        effects=(*fixed.effects, *remaining),
         notes=(f"corrected from {given.path.name}, by what logs of the robot say", *given.notes),
     )
-    return Correction(given, arm, fixed, released, tuple(left), inertia, (*notes, *said), reasons)
+    return Correction(given, arm, fixed, released, tuple(remaining), inertia, (*notes, *said), reasons)
 
 
 def with_servos(
@@ -147,9 +147,9 @@ def _spring(arm: SimulatedArm, joint: int, added: tuple[float, float]) -> tuple[
 
 
 def _put(values: np.ndarray, joint: int, value: float) -> np.ndarray:
-    found = values.copy()
-    found[joint] = value
-    return found
+    changed = values.copy()
+    changed[joint] = value
+    return changed
 
 
 def _reshaped(arm: SimulatedArm, root: ElementTree.Element) -> SimulatedArm:
@@ -190,9 +190,9 @@ def _with_bodies(
         usual = np.where(arm.armature[rotors] > 0, arm.armature[rotors], 0.1 * np.maximum(inertia[rotors], 1e-6))
         wanted = root_weight @ target + columns @ np.concatenate([*own, arm.armature[rotors]])
         released = ParameterLayout(len(links), len(rotors))
-        found = nearest_bodies(columns, wanted, np.concatenate([*bodies, usual]), released, _PULLS)
-        blocks, armature = released.blocks(found), found[released.rotors]
-        lost = float(np.sum((columns @ found - wanted) ** 2))
+        nearest = nearest_bodies(columns, wanted, np.concatenate([*bodies, usual]), released, _PULLS)
+        blocks, armature = released.blocks(nearest), nearest[released.rotors]
+        lost = float(np.sum((columns @ nearest - wanted) ** 2))
         heavy = any(block[0] > _STRAINED * old[0] > 0 for block, old in zip(blocks, own, strict=True))
         return blocks, armature, lost, heavy or lost > min(_LOST * size, _LOST_OF_REST * unexplained)
 

@@ -100,12 +100,12 @@ class MjcfEdits:
         self._documents[path] = opened(path)
         for element in self._documents[path].root.iter("include"):
             if name := element.get("file"):
-                found = next((f / name for f in (self._source.parent, path.parent) if (f / name).exists()), None)
-                if found is None:
+                included = next((f / name for f in (self._source.parent, path.parent) if (f / name).exists()), None)
+                if included is None:
                     raise InputError(f"{path}: its include {name} is missing")
-                self._includes.append((path, element, found))
-                if found not in self._documents:
-                    self._open(found)
+                self._includes.append((path, element, included))
+                if included not in self._documents:
+                    self._open(included)
 
     def _all(self, *names: str) -> Iterator[Element]:
         for document in self._documents.values():
@@ -144,13 +144,13 @@ class MjcfEdits:
     def _joint(self, k: int) -> Element:
         name = self._arm.file_joints[k]
         named = [joint for joint in self._all("joint") if joint.get("name") == name]
-        found = [joint for joint in named if self._parents[id(joint)].tag not in _NO_BODY]
-        if len(found) != 1:
+        matches = [joint for joint in named if self._parents[id(joint)].tag not in _NO_BODY]
+        if len(matches) != 1:
             raise InputError(
-                f"{self._source}: joint {name!r} stands in it {len(found)} times as text (attach or replicate makes "
+                f"{self._source}: joint {name!r} stands in it {len(matches)} times as text (attach or replicate makes "
                 f"it), so it cannot be changed in place: {_SAVE_COMPILED}"
             )
-        return found[0]
+        return matches[0]
 
     def _unit(self, k: int) -> float:
         """Unit of a joint's positions in the file [rad or m]."""
@@ -214,10 +214,10 @@ class MjcfEdits:
 
     def _servo(self, k: int) -> Element:
         name, actuators = self._arm.file_joints[k], self._all("position", "general")
-        found = [actuator for actuator in actuators if name in (actuator.get("joint"), actuator.get("jointinparent"))]
-        if len(found) != 1:
+        matches = [actuator for actuator in actuators if name in (actuator.get("joint"), actuator.get("jointinparent"))]
+        if len(matches) != 1:
             raise InputError(
-                f"{self._source}: {name!r} has {len(found)} position or general actuators as text, so its gain cannot "
-                f"be changed in place: {_SAVE_COMPILED}"
+                f"{self._source}: {name!r} has {len(matches)} position or general actuators as text, so its gain "
+                f"cannot be changed in place: {_SAVE_COMPILED}"
             )
-        return found[0]
+        return matches[0]

@@ -41,8 +41,8 @@ def effects_text(correction: Correction, source: str, out: str) -> str | None:
         "EFFECTS: tuple[dict[str, Any], ...]": tuple(effects),
     }
     text = Path(standalone_effects.__file__).read_text(encoding="utf-8")
-    head, rest = text.split("# data\n")
-    empty, code = rest.split("# end of data\n")
+    head, remainder = text.split("# data\n")
+    empty, code = remainder.split("# end of data\n")
     notes = {line.split(" = ")[0]: line.partition("#")[2] for line in empty.splitlines()}
     lines = []
     for name, value in data.items():

@@ -258,7 +258,7 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
         return columns[:, dof] - np.diag(rotors)
 
     def slopes(m: Any, d: Any) -> Array:
-        found, side = np.empty((len(dof), len(dof))), np.zeros((2, m.nv))
+        gradient, side = np.empty((len(dof), len(dof))), np.zeros((2, m.nv))
         moved.qvel[:], moved.qacc[:] = d.qvel, d.qacc
         for column, k in enumerate(at):
             for way, torque in zip((-1e-5, 1e-5), side, strict=True):
@@ -268,8 +268,8 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
                 mujoco.mj_comPos(m, moved)
                 mujoco.mj_comVel(m, moved)
                 mujoco.mj_rne(m, moved, 1, torque)
-            found[:, column] = (side[1] - side[0])[dof] / 2e-5
-        return found
+            gradient[:, column] = (side[1] - side[0])[dof] / 2e-5
+        return gradient
 
     def passive(m: Any, d: Any) -> None:
         if m.nv != model.nv or m.nq != model.nq:

@@ -122,9 +122,9 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
     simulator = load_simulator(path, None, names, {name: name for name in names})
     servos = simulator.arm.servos if isinstance(simulator.arm.servos, PositionServos) else None
     changes, ranges = path.with_name(f"{path.stem}.changes.json"), path.with_name(f"{path.stem}.ranges.yaml")
-    left = tuple(_of_changes(changes, simulator.model)) if changes.is_file() else ()
+    left_effects = tuple(_of_changes(changes, simulator.model)) if changes.is_file() else ()
     told = tuple(_as_exported(_of_ranges(ranges), simulator.arm)) if ranges.is_file() else ()
-    return _of_model(simulator.model, path, servos, left, told, simulator.arm.step)
+    return _of_model(simulator.model, path, servos, left_effects, told, simulator.arm.step)
 
 
 def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
@@ -156,22 +156,24 @@ def _of_ranges(path: Path) -> Iterator[NumberRange]:
 def _as_exported(ranges: Iterable[NumberRange], arm: SimulatedArm) -> Iterator[NumberRange]:
     """Ranges of bodies as those of the links that they are part of in the exported files."""
     links = ParameterLayout.of(arm.robot).blocks(Dynamics(arm.robot).standard_parameters())
-    for one in ranges:
-        kind, _, owner = one.of.partition(" ")
+    for number in ranges:
+        kind, _, owner = number.of.partition(" ")
         k = next((k for k, body in enumerate(arm.carrying) if kind in ("body", "link") and body.name == owner), None)
         if k is None:
-            yield one
+            yield number
         else:
-            rest = float(links[k][0]) - one.value
+            other_mass = float(links[k][0]) - number.value
             name = f"link {moved_links(arm.robot)[k]}"
-            yield NumberRange(name, one.parameter, rest + one.value, rest + one.low, rest + one.high)
+            yield NumberRange(
+                name, number.parameter, other_mass + number.value, other_mass + number.low, other_mass + number.high
+            )
 
 
 def _of_model(
     model: IdentifiedModel,
     path: Path,
     servos: PositionServos | None,
-    left: Sequence[LeftEffect],
+    left_effects: Sequence[LeftEffect],
     ranges: Sequence[NumberRange],
     step: float | None,
 ) -> ArmNumbers:
@@ -214,7 +216,7 @@ def _of_model(
     more += assumed(model)
     urdf, mjcf = body_texts(numbers, standard, lines)
     notes = (*filter(None, [numbers.note, far]), *more)
-    return ArmNumbers(robot.name, path.name, joints, urdf, mjcf, tuple(ranges), (*own, *left), notes, step)
+    return ArmNumbers(robot.name, path.name, joints, urdf, mjcf, tuple(ranges), (*own, *left_effects), notes, step)
 
 
 def _left(model: IdentifiedModel, entry: ModelEffect, leaves: str) -> LeftEffect:

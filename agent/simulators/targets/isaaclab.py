@@ -90,12 +90,12 @@ def _events(numbers: ArmNumbers) -> str:
     rows: dict[str, dict[str, tuple[float, float]]] = {}
     masses = {}
     keys = {"frictionloss": "friction_distribution_params", "armature": "armature_distribution_params"}
-    for one in numbers.ranges:
-        factors = scaled(one.value, one.low, one.high)
-        kind, _, owner = one.of.partition(" ")
-        if factors and kind == "joint" and one.parameter in keys:
-            rows.setdefault(owner, {})[keys[one.parameter]] = factors
-        elif factors and one.parameter == "mass" and kind in ("body", "link"):
+    for number in numbers.ranges:
+        factors = scaled(number.value, number.low, number.high)
+        kind, _, owner = number.of.partition(" ")
+        if factors and kind == "joint" and number.parameter in keys:
+            rows.setdefault(owner, {})[keys[number.parameter]] = factors
+        elif factors and number.parameter == "mass" and kind in ("body", "link"):
             masses[owner] = factors
     tables: dict[str, tuple[Any, str]] = {
         "JOINTS": (

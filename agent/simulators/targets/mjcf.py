@@ -57,9 +57,9 @@ def _passive(element: Element, joint: JointNumbers, forces: Sequence[PassiveForc
         middle = 0.5 * (joint.lower + joint.upper) if np.isfinite([joint.lower, joint.upper]).all() else 0.0
         roots = spring.roots()
         rests = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
-        rest = float(rests[np.argmin(np.abs(rests - middle))]) if len(rests) else middle
-        constant, *stiffness = np.append(spring(Polynomial([rest, 1.0])).coef, np.zeros(4))[:4]
-        element.attrib.update(stiffness=digits(*stiffness), springref=digits(rest))
+        spring_rest = float(rests[np.argmin(np.abs(rests - middle))]) if len(rests) else middle
+        constant, *stiffness = np.append(spring(Polynomial([spring_rest, 1.0])).coef, np.zeros(4))[:4]
+        element.attrib.update(stiffness=digits(*stiffness), springref=digits(spring_rest))
         if not len(rests):
             yield _without_current(joint, "constant", cogging=digits(-constant, 0.0, np.pi / 2))
     damping = np.sum([each.damping for each in forces], axis=0)
@@ -71,7 +71,7 @@ def _passive(element: Element, joint: JointNumbers, forces: Sequence[PassiveForc
             joint, f"cogging_{k}", gear=digits(order), cogging=digits(-amplitude / order, 1.0, phase)
         )
     bristles = [each.bristles for each in forces if each.bristles is not None]
-    for k, each in enumerate(one for one in bristles if one.beside):
+    for k, each in enumerate(bristle for bristle in bristles if bristle.beside):
         yield _without_current(joint, f"bristles_{k}", lugre=_lugre(each, joint, step))
     if own := [each for each in bristles if not each.beside]:
         speed = next((each.speed for each in own if each.rise), 1.0)

@@ -63,11 +63,11 @@ def actuators(stiffness=STIFFNESS, damping=DAMPING):
 def _events(numbers: ArmNumbers) -> str:
     rows = []
     masses = {}
-    for one in numbers.ranges:
-        kind, _, owner = one.of.partition(" ")
-        if kind == "joint" and one.parameter in _TERMS:
-            rows.append((_TERMS[one.parameter], owner, (max(one.low, 0.0), one.high)))
-        elif one.parameter == "mass" and (factors := scaled(one.value, one.low, one.high)):
+    for number in numbers.ranges:
+        kind, _, owner = number.of.partition(" ")
+        if kind == "joint" and number.parameter in _TERMS:
+            rows.append((_TERMS[number.parameter], owner, (max(number.low, 0.0), number.high)))
+        elif number.parameter == "mass" and (factors := scaled(number.value, number.low, number.high)):
             masses[owner] = tuple(0.5 * log(max(factor, 1e-3)) for factor in factors)
     tables: dict[str, tuple[Any, str]] = {
         "JOINTS": (rows, "term of mjlab.envs.mdp.dr, joint, 90 % range in SI"),

@@ -29,7 +29,7 @@ def rounded(value: Any) -> str:
 
 def _digits(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _digits(one) for key, one in value.items()}
+        return {key: _digits(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return type(value)(map(_digits, value))
     return float(f"{value:.9g}") if isinstance(value, float) else value

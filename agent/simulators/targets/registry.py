@@ -77,10 +77,10 @@ def write_target(numbers: ArmNumbers, name: str, folder: Path, say: Callable[[st
     paths = tuple(
         write_atomically(folder / file, text + ("" if text.endswith("\n") else "\n")) for file, text in texts.items()
     )
-    for one in missing:
-        could = "cannot say it" if one["how"] == "no" else f"could say it {one['how']}, which is not written"
-        place = _NEARLY if one["how"] == _NEARLY else f"not in the files ({target.name} {could})"
-        say(f"{one['effect']}{one['of']} is {place}: {one['leaves']}")
+    for effect in missing:
+        could = "cannot say it" if effect["how"] == "no" else f"could say it {effect['how']}, which is not written"
+        place = _NEARLY if effect["how"] == _NEARLY else f"not in the files ({target.name} {could})"
+        say(f"{effect['effect']}{effect['of']} is {place}: {effect['leaves']}")
     for text in (*numbers.notes, *(_unstable(numbers, step) if target.computes_servo else ())):
         say(text)
     return paths
