@@ -20,9 +20,9 @@ class RealClock:
 
     def wait_until(self, moment: int) -> None:
         """Return once controller time has reached `moment` [ns]."""
-        left = moment - self.now()
-        if left > 0:
-            time.sleep(left * 1e-9)
+        remaining = moment - self.now()
+        if remaining > 0:
+            time.sleep(remaining * 1e-9)
 
 
 class FastClock:

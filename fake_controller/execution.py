@@ -225,10 +225,10 @@ class Execution:
             if switch.reason is not None:
                 return
             if chain.trajectory is None:
-                left = round(chain.hold / self._period)
-                while left > 0 and switch.reason is None:
-                    yield self._rest(reference, min(left, self._slice_samples))
-                    left -= self._slice_samples
+                remaining = round(chain.hold / self._period)
+                while remaining > 0 and switch.reason is None:
+                    yield self._rest(reference, min(remaining, self._slice_samples))
+                    remaining -= self._slice_samples
                 continue
             position, velocity = self._plant.executed_path(chain.trajectory.q, chain.trajectory.qd)
             speed, given = 1.0, 0  # `given`: the set-point that was given last; the first is the rest before

@@ -219,8 +219,8 @@ def _torque(  # noqa: C901
     if kind == 70:
         return p[2] * (sin(x) + p[5] * sin(2 * x))
     if kind == 71:
-        turn = x / (2 * pi)
-        return p[2] * (4 * abs(turn - floor(turn) - 0.5) - 1)
+        turns = x / (2 * pi)
+        return p[2] * (4 * abs(turns - floor(turns) - 0.5) - 1)
     if kind == 72:
         return p[2] * sin(x) * abs(current) / p[5]
     if kind == 73:

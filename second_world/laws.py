@@ -436,7 +436,7 @@ def _late(how: str) -> Build:
     def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         samples = 1000.0 * amount
 
-        def one(values: np.ndarray) -> np.ndarray:
+        def delayed(values: np.ndarray) -> np.ndarray:
             at = np.arange(len(values), dtype=float)
             if how in ("late", "early"):
                 return np.interp(at - (samples if how == "late" else -samples), at, values)
@@ -447,7 +447,7 @@ def _late(how: str) -> Build:
             return np.convolve(padded, weights / weights.sum(), mode="valid")
 
         def report(signals: np.ndarray, began: float) -> np.ndarray:
-            signals[2] = np.apply_along_axis(one, 0, signals[2])
+            signals[2] = np.apply_along_axis(delayed, 0, signals[2])
             return signals
 
         m.reports.append(report)

@@ -36,15 +36,15 @@ def _wide(
     """A Fourier series, or a sum of two swings whose frequency rises and falls; begins and ends at zero."""
     lead, n = 0.15 * cycle, len(reach)
     t = np.arange(round((2 * cycle + 2 * lead) * RATE)) / RATE
-    turn = 2 * np.pi * (t - lead) / cycle
+    phase_angle = 2 * np.pi * (t - lead) / cycle
     if kind == "fourier":
         harmonics = np.arange(1, 8)
         phase = rng.uniform(0, 2 * np.pi, (7, n))
         weight = rng.uniform(0.3, 1.0, (7, n)) / harmonics[:, None]
-        q = np.einsum("hj,hsj->sj", weight, np.sin(harmonics[:, None, None] * turn[:, None] + phase[:, None, :]))
+        q = np.einsum("hj,hsj->sj", weight, np.sin(harmonics[:, None, None] * phase_angle[:, None] + phase[:, None, :]))
     else:
         base, swing = rng.integers(1, 3, n), rng.uniform(1.0, 2.5, n)
-        phase = base * turn[:, None] + swing * np.sin(turn[:, None] + rng.uniform(0, 6, n))
+        phase = base * phase_angle[:, None] + swing * np.sin(phase_angle[:, None] + rng.uniform(0, 6, n))
         q = np.sin(phase) + rng.uniform(0.2, 0.4, n) * np.sin(2 * phase + rng.uniform(0, 6, n))
     fastest = np.abs(np.gradient(q, 1 / RATE, axis=0)).max(axis=0)
     q *= np.minimum(0.8 * reach / np.abs(q).max(axis=0), 0.7 * speed / fastest)

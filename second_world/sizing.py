@@ -54,17 +54,17 @@ def sized(world: DrawnWorld, effect: Mapping[str, Any], day: int, motions: Motio
     plain = None if effect["effect"] == "interpolator_mismatch" else build(world, (), day).run(motions)
 
     @cache
-    def found(amount: float) -> float:
+    def size(amount: float) -> float:
         machine = build(world, [{**effect, "parameters": {"amount": amount}}], day)
         if plain is None:
             return _path_change(machine, motions) / _PATH
         return largest_change(machine.run(motions), plain, world.arm.torque)
 
     if "amount" in effect["parameters"]:
-        return {**effect, "found": found(effect["parameters"]["amount"])}
+        return {**effect, "found": size(effect["parameters"]["amount"])}
     asked = float(effect["size"])
-    amount = _solved(lambda tried: np.log(max(found(tried), 1e-6) / asked), law.first, law.highest)
-    return {**effect, "parameters": {"amount": amount}, "found": found(amount)}
+    amount = _solved(lambda tried: np.log(max(size(tried), 1e-6) / asked), law.first, law.highest)
+    return {**effect, "parameters": {"amount": amount}, "found": size(amount)}
 
 
 def _solved(error: Callable[[float], float], first: float, highest: float) -> float:

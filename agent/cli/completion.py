@@ -65,7 +65,7 @@ def _starting(names: Iterable[str], incomplete: str) -> list[str]:
 
 def _files(incomplete: str, *suffixes: str) -> list[str]:
     """Paths as the user began to write them; a folder ends in `/`."""
-    found = [Path(name) for name in glob.glob(f"{glob.escape(incomplete)}*")]
+    paths = [Path(name) for name in glob.glob(f"{glob.escape(incomplete)}*")]
     return sorted(
-        f"{path}/" if path.is_dir() else str(path) for path in found if path.is_dir() or path.suffix in suffixes
+        f"{path}/" if path.is_dir() else str(path) for path in paths if path.is_dir() or path.suffix in suffixes
     )

@@ -152,10 +152,10 @@ def trends(
             raise InputError(f"{source}: no result of a fleet; name one, or a folder for the result with -o")
         result = f"{out.rstrip('/')}/_estimates"
         _up_to_date(scheduler, workers, memory, messages)("estimate", source, result, robot, None)
-    found = fleet_trends(result, columns or ())
+    summary = fleet_trends(result, columns or ())
     if out is not None:
-        write_trends(found, out)
-    opt.print_found(as_json, found)
+        write_trends(summary, out)
+    opt.print_found(as_json, summary)
 
 
 @app.command(epilog="Example: agent fleet report estimates")

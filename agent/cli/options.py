@@ -132,12 +132,12 @@ def console_for(messages: bool | None) -> Any:
     return core.Console(verbosity=0 if messages is None else 1 if messages else -1)
 
 
-def print_found(as_json: bool, found: Any, text: str | None = None) -> None:
-    """Print a result on stdout: one JSON object, or for people `text`, by default that of `found`."""
+def print_found(as_json: bool, result: Any, text: str | None = None) -> None:
+    """Print a result on stdout: one JSON object, or for people `text`, by default that of `result`."""
     if as_json:
-        core.print_json(found if isinstance(found, dict) else found.to_dict())
+        core.print_json(result if isinstance(result, dict) else result.to_dict())
     else:
-        core.print_text(found.text() if text is None else text)
+        core.print_text(result.text() if text is None else text)
 
 
 def end_job(as_json: bool, outcome: Any) -> NoReturn:
@@ -160,12 +160,12 @@ def diagnosis_shown(as_json: bool) -> Iterator[Callable[[dict[str, Any]], None]]
     """
     last: dict[str, Any] = {}
 
-    def show(found: dict[str, Any]) -> None:
+    def show(document: dict[str, Any]) -> None:
         if not as_json and not last:
-            core.print_text(pipeline.diagnosis_text(found))
-        elif not as_json and found["next_experiment"] != last["next_experiment"]:
-            core.print_text(pipeline.planned_text(found))
-        last.update(found)
+            core.print_text(pipeline.diagnosis_text(document))
+        elif not as_json and document["next_experiment"] != last["next_experiment"]:
+            core.print_text(pipeline.planned_text(document))
+        last.update(document)
 
     try:
         yield show

@@ -68,7 +68,7 @@ def history(
     for warning in (*past.damaged, *lost, *future):
         print(f"warning: {warning}", file=sys.stderr)
     if as_json:
-        core.print_json({**data, "watch": [one.to_dict() for one in run_store.watch(runs)]})
+        core.print_json({**data, "watch": [watch.to_dict() for watch in run_store.watch(runs)]})
         return
     core.print_text(run_store.history_table(runs, current))
     if not runs and not past.damaged:
@@ -86,10 +86,12 @@ def compare(
     """Show which parameters changed between runs by more than their uncertainty."""
     if len(runs) < 2:
         raise InputError("compare: name two runs or more: agent compare RUN RUN")
-    found = pipeline.compare_runs([run_store.find_run(logs, run) for run in runs], opt.console_for(messages), report)
-    pairs = [comparison.to_dict() for comparison in found]
+    comparisons = pipeline.compare_runs(
+        [run_store.find_run(logs, run) for run in runs], opt.console_for(messages), report
+    )
+    pairs = [comparison.to_dict() for comparison in comparisons]
     document = pairs[0] if len(pairs) == 1 else {"schema": "comparisons/1", "comparisons": pairs}
-    opt.print_found(as_json, document, "\n\n".join(comparison.text() for comparison in found))
+    opt.print_found(as_json, document, "\n\n".join(comparison.text() for comparison in comparisons))
 
 
 @app.command(rich_help_panel=opt.DIAGNOSE, epilog="Example: agent report --index --open")

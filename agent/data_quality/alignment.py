@@ -37,12 +37,12 @@ def alignment(log: Log) -> Alignment:
 
 def late_velocity(of: Recordings) -> Iterator[QualityFinding]:
     """Velocities that a filter of the recorder delays."""
-    found = {log.name: lag for log in of.logs if (lag := alignment(log).velocity) is not None and abs(lag) > _LATE}
-    if found:
-        longest = max(found.values(), key=abs)
+    lags = {log.name: lag for log in of.logs if (lag := alignment(log).velocity) is not None and abs(lag) > _LATE}
+    if lags:
+        longest = max(lags.values(), key=abs)
         way = "lags" if longest > 0 else "leads"
         yield QualityFinding(
-            f"the velocity in {', '.join(found)} {way} its position by {1e3 * abs(longest):.0f} ms",
+            f"the velocity in {', '.join(lags)} {way} its position by {1e3 * abs(longest):.0f} ms",
             advice="it is not used: positions are differentiated instead",
             refuses=False,
         )

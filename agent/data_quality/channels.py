@@ -223,11 +223,11 @@ def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
     """Torque that drops to zero, holds its value or is clipped for part of the samples."""
     for log in of.logs:
         assert log.effort is not None
-        found: dict[tuple[str, str, str], list[int]] = {}
+        spoiled: dict[tuple[str, str, str], list[int]] = {}
         for joint in range(of.robot.dof):
             for share, text, advice in _spoiled(log.effort[:, joint], log.position[:, joint]):
-                found.setdefault((f"{100 * share:.1f}", text, advice), []).append(joint)
-        for (percent, text, advice), joints in found.items():
+                spoiled.setdefault((f"{100 * share:.1f}", text, advice), []).append(joint)
+        for (percent, text, advice), joints in spoiled.items():
             whose = of.named(np.array(joints))
             said = f"{log.name}: the torque of {', '.join(whose)} {text.format(f'{percent} % of the samples')}"
             yield QualityFinding(said, whose, float(percent) / 100, advice, refuses=False)

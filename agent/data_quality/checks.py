@@ -56,13 +56,13 @@ def check_quality(robot: RobotDescription, logs: Sequence[Log], others: Sequence
     others : further motions of the same recorder. A mistake that only fits better has to do so with them as well: a few
         seconds of slow motion do not distinguish it from chance.
     """
-    found: list[QualityFinding] = []
+    findings: list[QualityFinding] = []
     recordings = Recordings(robot, [log for log in logs if log.effort is not None], others)
     for stage in CHECKS if recordings.logs else ():
-        found += [finding for check in stage for finding in check(recordings)]
-        if any(finding.refuses or finding.scale for finding in found):
+        findings += [finding for check in stage for finding in check(recordings)]
+        if any(finding.refuses or finding.scale for finding in findings):
             break
-    return found
+    return findings
 
 
 def contradicted(robot: RobotDescription, logs: Sequence[Log], declared: str) -> str | None:
@@ -73,14 +73,14 @@ def contradicted(robot: RobotDescription, logs: Sequence[Log], declared: str) ->
     measured = [log for log in logs if log.effort is not None]
     if declared not in ("current", "torque-without-gravity") or not measured:
         return None
-    found = compared_weight(Recordings(robot, measured))
-    if found is None:
+    weight = compared_weight(Recordings(robot, measured))
+    if weight is None:
         return None
-    if declared == "torque-without-gravity" and found.alike.any():
-        sizes = zip(found.joints[found.alike], found.times[found.alike], strict=True)
+    if declared == "torque-without-gravity" and weight.alike.any():
+        sizes = zip(weight.joints[weight.alike], weight.times[weight.alike], strict=True)
         listed = ", ".join(f"{robot.joint_names[k]} {times:.2g}" for k, times in sizes)
         return f"they carry gravity, as a multiple of what the described masses weigh: {listed}"
-    if declared == "current" and found.absent.all():
+    if declared == "current" and weight.absent.all():
         return "currents carry gravity, and these show none"
     return None
 

@@ -119,9 +119,9 @@ def gravity_axes(robot: RobotDescription) -> Iterator[tuple[float, float, float]
             yield x, y, z
 
 
-def gravity_text(robot: RobotDescription, found: tuple[float, float, float]) -> str:
+def gravity_text(robot: RobotDescription, gravity: tuple[float, float, float]) -> str:
     """Its direction as a user writes it, and how far it is from the described one."""
-    a, b = np.array(robot.gravity), np.array(found)
+    a, b = np.array(robot.gravity), np.array(gravity)
     angle = np.degrees(np.arccos(np.clip(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-12), -1, 1)))
     return f"gravity in the base frame looks like ({', '.join(f'{x:.4g}' for x in b)}), {angle:.0f}° from the described"
 
@@ -145,21 +145,21 @@ def described_gravity(
     def varying(torque: np.ndarray) -> np.ndarray:
         return (torque - torque.mean(axis=0))[:, turning]
 
-    def left(gravity: tuple[float, float, float]) -> float:
+    def residual(gravity: tuple[float, float, float]) -> float:
         """What the described masses leave of the gravity torque."""
         weight = Dynamics(replace(robot, gravity=gravity)).regressor(s.q, 0 * s.q, 0 * s.q) @ masses
         return float(np.linalg.norm(varying(fitted) - varying(weight)))
 
     length = float(np.linalg.norm(varying(fitted)))
     least = min(_SEEN, _TIMES_LEFT * unexplained) * float(np.linalg.norm(varying(s.torque)))
-    if length < least or left(robot.gravity) < _REFUTED * length:
+    if length < least or residual(robot.gravity) < _REFUTED * length:
         return
-    best = min(gravity_axes(robot), key=left)
-    if left(best) < _FITS * length:
+    best = min(gravity_axes(robot), key=residual)
+    if residual(best) < _FITS * length:
         held_out = _unweighed(robot, s, masses, robot.gravity) / _unweighed(robot, s, masses, best)
         yield QualityFinding(
             f"{gravity_text(robot, best)}, or the described centres of mass are wrong: of the gravity torque, the "
-            f"described masses explain {100 * (1 - left(best) / length):.0f} % so, and none as given",
+            f"described masses explain {100 * (1 - residual(best) / length):.0f} % so, and none as given",
             robot.joint_names,
             advice=MEND_GRAVITY,
             refuses=bool(np.log(held_out).mean() > 0),
@@ -196,7 +196,7 @@ def compared_weight(of: Recordings) -> DescribedWeight | None:
     if s is None or masses is None:
         return None
     dynamics = Dynamics(robot)
-    weight, whole = (dynamics.regressor(s.q, *rest) @ masses for rest in ((0 * s.q, 0 * s.q), (s.qd, s.qdd)))
+    weight, whole = (dynamics.regressor(s.q, *motion) @ masses for motion in ((0 * s.q, 0 * s.q), (s.qd, s.qdd)))
     heavy = np.flatnonzero(of.turning & (np.std(weight, axis=0) > _SEEN * np.std(weight * of.turning, axis=0).max()))
     times, alike, absent = [], [], []
     for k in heavy:
@@ -205,10 +205,10 @@ def compared_weight(of: Recordings) -> DescribedWeight | None:
         )
         own, torque = (v - others @ np.linalg.lstsq(others, v, rcond=None)[0] for v in (weight[:, k], s.torque[:, k]))
         times.append(float(own @ torque / max(own @ own, 1e-300)))
-        left = float(np.linalg.norm(torque - times[-1] * own))
-        share = 1 - left**2 / max(float(torque @ torque), 1e-300)
+        residual = float(np.linalg.norm(torque - times[-1] * own))
+        share = 1 - residual**2 / max(float(torque @ torque), 1e-300)
         alike.append(share > _ALIKE and times[-1] > 0)
-        absent.append(abs(times[-1]) < _ABSENT and share < _ABSENT and np.linalg.norm(own) > _VISIBLE * left)
+        absent.append(abs(times[-1]) < _ABSENT and share < _ABSENT and np.linalg.norm(own) > _VISIBLE * residual)
     if not len(heavy):
         return None
     largest = float(np.std(weight[:, heavy], axis=0).max())
@@ -217,30 +217,30 @@ def compared_weight(of: Recordings) -> DescribedWeight | None:
 
 def described_weight(of: Recordings) -> Iterator[QualityFinding]:
     """Torque that carries no gravity, or is like the described gravity in all but its size, joint by joint."""
-    found = compared_weight(of)
-    if found is not None and found.absent.all():
-        whose = of.named(found.joints)
+    weight = compared_weight(of)
+    if weight is not None and weight.absent.all():
+        whose = of.named(weight.joints)
         yield QualityFinding(
-            f"these torques carry no gravity: the described masses need {found.root_mean_square:.3g} N·m of it, root "
+            f"these torques carry no gravity: the described masses need {weight.root_mean_square:.3g} N·m of it, root "
             f"mean square, and {', '.join(whose)} show next to none",
             whose,
             advice=WITH_GRAVITY,
             refuses=_fits_without_gravity(of),
         )
-    elif found is not None and found.alike.any():
-        yield from _other_unit(of, found)
+    elif weight is not None and weight.alike.any():
+        yield from _other_unit(of, weight)
 
 
-def _other_unit(of: Recordings, found: DescribedWeight) -> Iterator[QualityFinding]:
+def _other_unit(of: Recordings, weight: DescribedWeight) -> Iterator[QualityFinding]:
     """Torque that is a multiple of the described gravity; refused where every joint with weight is off."""
     robot = of.robot
-    joints, times = found.joints[found.alike], found.times[found.alike]
+    joints, times = weight.joints[weight.alike], weight.times[weight.alike]
     size = float(np.exp(np.mean(np.log(times))))
     if size > _TOO_STRONG:
         weighed = f"torques look like N·mm: gravity on the joints is {size:.3g} times what the described masses weigh"
         yield from [*excessive_weight(of), QualityFinding(weighed, robot.joint_names, scale=True)][:1]
         return
-    off = found.off()[found.alike]
+    off = weight.off()[weight.alike]
     unit, what = "motor currents, or % or ‰ of a nominal or stall torque", "--effort current or --effort load"
     parts = np.log(times * drive_torque(robot)[joints])
     for name, whole in (("%", 100.0), ("‰", 1000.0)):
@@ -249,7 +249,7 @@ def _other_unit(of: Recordings, found: DescribedWeight) -> Iterator[QualityFindi
             unit, off, what = f"{name} of nominal torque", np.ones(len(joints), bool), "--effort load"
     if not off.any():
         return
-    every = int(off.sum()) == len(found.joints)
+    every = int(off.sum()) == len(weight.joints)
     whose = robot.joint_names if every else of.named(joints[off])
     sizes = ", ".join(f"{robot.joint_names[k]} {x:.2g}" for k, x in zip(joints[off], times[off], strict=True))
     yield QualityFinding(

@@ -46,7 +46,7 @@ def description_units(of: Recordings) -> Iterator[QualityFinding]:
     given = _Build.of(of.robot)
     if given.mass <= 0 or given.reach <= 0 or given.possible:
         return
-    for units in sorted(product(_MASSES, _LENGTHS, _LENGTHS), key=lambda one: sum(map(bool, one))):
+    for units in sorted(product(_MASSES, _LENGTHS, _LENGTHS), key=lambda combination: sum(map(bool, combination))):
         robot = _with_units(of.robot, *units)
         if not any(units) or not _Build.of(robot).possible:
             continue
@@ -70,8 +70,8 @@ def _with_units(robot: RobotDescription, mass: str, length: str, centre: str) ->
     root = ElementTree.fromstring(robot.urdf)
     masses, lengths, centres = _MASSES[mass], _LENGTHS[length], _LENGTHS[centre]
     for inertial in root.findall("link/inertial"):
-        for one, factor in (("mass", masses), ("inertia", masses * centres**2)):
-            if (element := inertial.find(one)) is not None:
+        for tag, factor in (("mass", masses), ("inertia", masses * centres**2)):
+            if (element := inertial.find(tag)) is not None:
                 element.attrib.update({key: repr(float(value) * factor) for key, value in element.attrib.items()})
     for origins, factor in ((root.findall("link/inertial/origin"), centres), (root.findall("joint/origin"), lengths)):
         for origin in origins:

@@ -50,7 +50,7 @@ def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[Quali
 def _postures(model: IdentifiedModel, logs: Sequence[Log]) -> int:
     """Samples of the filtered motions that are independent, and apart by more than a joint that rests moves."""
     count, settings = 0, FilterSettings(model.cutoff, model.order)
-    for motion in (one for log in logs for one in motions(log, settings)):
+    for motion in (filtered for log in logs for filtered in motions(log, settings)):
         q, every = motion.q[motion.kept], max(1, round(motion.rate / motion.step / (2 * model.cutoff)))
         last = q[0]
         for posture in q[::every]:
@@ -73,12 +73,12 @@ def _negative_rotors(model: IdentifiedModel) -> dict[str, float]:
 def _negative_friction(model: IdentifiedModel) -> dict[str, float]:
     """Coulomb friction [N·m or N] by joint, where it is clearly negative."""
     deviation = np.sqrt(np.diag(model.covariance))
-    found = {
+    negative = {
         int(name.removeprefix("f0_")): value
         for name, value, scatter in zip(model.names, model.values, deviation, strict=True)
         if name.startswith("f0_") and name[3:].isdecimal() and value < -_CERTAIN * scatter
     }
-    return {model.robot.joint_names[number - 1]: float(value) for number, value in found.items()}
+    return {model.robot.joint_names[number - 1]: float(value) for number, value in negative.items()}
 
 
 def _large_errors(model: IdentifiedModel, logs: Sequence[Log]) -> dict[str, float]:

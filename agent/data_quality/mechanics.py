@@ -59,18 +59,18 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
     likeliest = None if right else _likeliest(plain, pushing, driven_on)
     if unexplained > _UNEXPLAINED:
         share = f"a rigid arm explains {100 * max(0.0, 1 - unexplained):.0f} % of the torque, whatever its parameters"
-        found = likeliest or _unrelated(plain)
-        yield replace(found, text=f"{found.text}: {share}")
+        finding = likeliest or _unrelated(plain)
+        yield replace(finding, text=f"{finding.text}: {share}")
     elif len(driven_on):
         whose = ", ".join(robot.joint_names[k] for k in driven_on)
-        found = likeliest or _opposite(plain, driven_on, whose)
+        finding = likeliest or _opposite(plain, driven_on, whose)
         push = f"friction and inertia would drive {whose} on, by {100 * pushing.max():.0f} % of its torque"
-        yield replace(found, text=f"{found.text}: {push}")
+        yield replace(finding, text=f"{finding.text}: {push}")
     elif likeliest and not _refuted(of):
         yield replace(likeliest, text=f"{likeliest.text}: much more of the torque would be explained")
     else:
-        rest = 0 * samples.q
-        gravity = plain.regressor(samples.q, rest, rest) @ solution.parameters[: 11 * robot.dof]
+        still = 0 * samples.q
+        gravity = plain.regressor(samples.q, still, still) @ solution.parameters[: 11 * robot.dof]
         yield from described_gravity(robot, samples, gravity, unexplained)
 
 

@@ -54,10 +54,10 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
     for log in logs:
         cutoff = min(_CUTOFF, resolve_cutoff(log, FilterSettings()))
         try:
-            found = list(motions(log, FilterSettings(cutoff)))
+            filtered = list(motions(log, FilterSettings(cutoff)))
         except InputError:
             continue
-        for motion in found:
+        for motion in filtered:
             assert motion.torque is not None
             still = 0.01 * np.maximum(np.abs(motion.qd).max(axis=0), 1e-9)
             signals = (motion.q, motion.qd, motion.qdd, motion.torque, np.tanh(motion.qd / still))
@@ -136,23 +136,23 @@ class RigidFit:
         """The fit to all samples of a torque (S, n)."""
         moments = self._moments(torque).sum(axis=0)
         parameters, weights = _fitted(moments, self)
-        left, square = np.maximum(_squared_error(moments, parameters), 0.0), moments[:, -1, -1]
+        lost, square = np.maximum(_squared_error(moments, parameters), 0.0), moments[:, -1, -1]
         matrix = np.tensordot(weights, moments[:, :-1, :-1], 1) + np.diag(self.precision)
-        unexplained = float(np.sqrt(left.sum() / max(float(square.sum()), 1e-300)))
-        each = np.sqrt(np.where(square > 0, left / np.maximum(square, 1e-300), 0.0))
+        unexplained = float(np.sqrt(lost.sum() / max(float(square.sum()), 1e-300)))
+        each = np.sqrt(np.where(square > 0, lost / np.maximum(square, 1e-300), 0.0))
         return Solution(parameters, self.samples.rows_each * inverse(matrix), each, unexplained)
 
     def errors(self, torque: np.ndarray) -> np.ndarray:
         """(FOLDS, n) squared error held out of a torque (S, n), at most that of a constant one."""
         moments = self._moments(torque)
-        whole, found = moments.sum(axis=0), np.empty(moments.shape[:2])
+        whole, held_out = moments.sum(axis=0), np.empty(moments.shape[:2])
         weights = _fitted(whole, self)[1]
         away = (torque - torque.mean(axis=0)) ** 2
         for fold, part in enumerate(moments):
             error = _squared_error(part, _solved(np.tensordot(weights, whole - part, 1), self.precision))
-            found[fold] = np.minimum(error, away[self.samples.fold == fold].sum(axis=0))
+            held_out[fold] = np.minimum(error, away[self.samples.fold == fold].sum(axis=0))
         # a joint without torque says nothing, whatever is fitted
-        return np.where(whole[:, -1, -1] > 0, np.maximum(found, _LEAST * whole[:, -1, -1] + 1e-300), 1.0)
+        return np.where(whole[:, -1, -1] > 0, np.maximum(held_out, _LEAST * whole[:, -1, -1] + 1e-300), 1.0)
 
     def _moments(self, torque: np.ndarray) -> np.ndarray:
         """(FOLDS, n, p + 1, p + 1) of a torque (S, n), the last row and column."""
@@ -196,7 +196,7 @@ def fitted_gravity(plain: RigidFit) -> np.ndarray:
         RigidFit(Dynamics(replace(robot, gravity=tuple(gravity))), s, plain.precision).columns
         for gravity in size * np.vstack([np.zeros(3), np.eye(3)])
     )
-    rows = [np.dstack([without, s.torque]), *(np.dstack([one - without, 0 * s.torque]) for one in along)]
+    rows = [np.dstack([without, s.torque]), *(np.dstack([columns - without, 0 * s.torque]) for columns in along)]
     moments = np.einsum("isna,jsnb->ijnab", rows, rows, optimize=True)
 
     def misfit(gravity: np.ndarray, rounds: int = _ROUNDS) -> float:
@@ -205,7 +205,7 @@ def fitted_gravity(plain: RigidFit) -> np.ndarray:
         weights = _fitted(np.tensordot(np.outer(parts, parts), moments, 2), plain, rounds)[1]
         return -len(s.q) * float(np.log(weights).sum())
 
-    axis = min([*np.eye(3), *-np.eye(3)], key=lambda one: misfit(one, 1))
+    axis = min([*np.eye(3), *-np.eye(3)], key=lambda direction: misfit(direction, 1))
     options = {"initial_simplex": axis + 0.3 * np.vstack([np.zeros(3), np.eye(3)]), "xatol": 1e-3, "fatol": 1e-3}
     best = minimize(misfit, axis, method="Nelder-Mead", options=options).x
     return np.asarray(size * best / np.linalg.norm(best))

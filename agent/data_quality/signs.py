@@ -28,24 +28,24 @@ def passive_errors(fit: RigidFit, torque: np.ndarray) -> np.ndarray:
     moments = np.array([part.swapaxes(1, 2) @ part for part in parts])
     whole, levels = moments.sum(axis=0), np.tile(fit.precision[11 * n : 12 * n], _NODES)
     precision = np.concatenate([fit.precision[: 11 * n], levels, fit.precision[13 * n :]])
-    left = fit.solution(torque).left
-    weights = len(s.q) / np.maximum(left**2 * whole[:, -1, -1], 1e-10 * whole[:, -1, -1] + 1e-300)
+    unexplained = fit.solution(torque).left
+    weights = len(s.q) / np.maximum(unexplained**2 * whole[:, -1, -1], 1e-10 * whole[:, -1, -1] + 1e-300)
     limits = _limits(fit)
-    found = np.empty(moments.shape[:2])
+    errors = np.empty(moments.shape[:2])
     for fold, part in enumerate(moments):
         total = np.tensordot(weights, whole - part, 1)
         extended = np.append(_within(total[:-1, :-1] + np.diag(precision), total[:-1, -1], limits), -1.0)
-        found[fold] = part @ extended @ extended
-    return np.maximum(found, 1e-10 * whole[:, -1, -1] + 1e-300)
+        errors[fold] = part @ extended @ extended
+    return np.maximum(errors, 1e-10 * whole[:, -1, -1] + 1e-300)
 
 
 def _limits(fit: RigidFit) -> np.ndarray:
     """(m, p) products with parameters that are not negative: inertia about each joint, and friction at each node."""
     s, n = fit.samples, fit.robot.dof
     some = s.q[:: max(1, len(s.q) // _POSTURES)]
-    rest = 0 * some
-    still = fit.regressor(some, rest, rest)
-    moved = [(fit.regressor(some, rest, rest + unit) - still)[:, k] for k, unit in enumerate(np.eye(n))]
+    zero = 0 * some
+    still = fit.regressor(some, zero, zero)
+    moved = [(fit.regressor(some, zero, zero + unit) - still)[:, k] for k, unit in enumerate(np.eye(n))]
     inertia = np.concatenate(moved)
     count = _NODES * n
     lines = [np.hstack([inertia, np.zeros((len(inertia), count + n))])]

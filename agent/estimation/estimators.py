@@ -32,15 +32,15 @@ def weighted(problem: Problem) -> Estimate:
     Normal equations square the condition number; one refinement step from the residuals of the rows restores the
     accuracy (corrected seminormal equations, Björck, Linear Algebra Appl. 88, 1987).
     """
-    found = problem.estimate(problem.weights())
-    prior, joints = problem.prior, np.arange(found.weights.shape[1])
+    fit = problem.estimate(problem.weights())
+    prior, joints = problem.prior, np.arange(fit.weights.shape[1])
     rows = [
-        residual * found.weights[still.astype(int), joints]
-        for residual, still in zip(problem.residuals(found.parameters), standstill(problem.observation), strict=True)
+        residual * fit.weights[still.astype(int), joints]
+        for residual, still in zip(problem.residuals(fit.parameters), standstill(problem.observation), strict=True)
     ]
-    slope = problem.correlation(rows) + problem.prior_weight * prior.precision @ (prior.mean - found.parameters)
-    matrix = found.moments.weighted(found.weights)[:-1, :-1] + problem.prior_weight * prior.precision
-    return replace(found, parameters=found.parameters + solve_scaled(matrix, slope))
+    slope = problem.correlation(rows) + problem.prior_weight * prior.precision @ (prior.mean - fit.parameters)
+    matrix = fit.moments.weighted(fit.weights)[:-1, :-1] + problem.prior_weight * prior.precision
+    return replace(fit, parameters=fit.parameters + solve_scaled(matrix, slope))
 
 
 _TUNING = 1.345
@@ -166,8 +166,8 @@ def consistent(problem: Problem) -> Estimate:
     programme = _Programme(problem)
     weights = problem.weights()
     note = "Every link has a physical mass distribution; rotor inertias and friction are not negative."
-    found = problem.estimate(weights, note, programme.parameters)
-    return replace(found, standard=programme.solve(problem.moments.weighted(weights))[: programme.standard])
+    fit = problem.estimate(weights, note, programme.parameters)
+    return replace(fit, standard=programme.solve(problem.moments.weighted(weights))[: programme.standard])
 
 
 def _weigh_prior(problem: Problem) -> Problem:
@@ -211,13 +211,13 @@ class _Programme:
             offset = (rows * weight[:, None]) @ self.mean
             floors.append(_SOLIDITY * np.array([float(i == j) for i, j in _TRIANGLE]) - offset)
         units = np.eye(len(self.scale))
-        positive, rest = list(units[layout.rotors]), dict[int, np.ndarray]()
+        positive, breakaway = list(units[layout.rotors]), dict[int, np.ndarray]()
         for row, term in zip(units[layout.size :], problem.terms, strict=True):
             if term.form in ("coulomb", "viscous"):
                 positive.append(row)
             if term.form in ("coulomb", "stribeck"):
-                rest[term.axle] = rest.get(term.axle, 0) + row
-        positive += list(rest.values())
+                breakaway[term.axle] = breakaway.get(term.axle, 0) + row
+        positive += list(breakaway.values())
         linear = np.array(positive)
         self._cone_rows = np.vstack([linear * self.scale, *blocks])
         self._cone_floor = np.concatenate([-linear @ self.mean, *floors])

@@ -246,7 +246,7 @@ def _segments(log: Log, cutoff: float, needed: float) -> tuple[list[tuple[int, i
     """Segments between gaps, first and last sample: those longer than what is `needed` [s], and the others."""
     segments = log.bridged(_BRIDGED / cutoff)
     long_enough = [(a, b) for a, b in segments if log.t[b - 1] - log.t[a] > needed]
-    return long_enough, [one for one in segments if one not in long_enough]
+    return long_enough, [segment for segment in segments if segment not in long_enough]
 
 
 def _needed(cutoff: float, edge: float) -> float:

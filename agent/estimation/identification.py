@@ -98,8 +98,8 @@ def estimate(
     terms = {name: ESTIMATORS[name].friction or settings.friction for name in names}
     problems = {friction: _problem(observation, cells, friction) for friction in dict.fromkeys(terms.values())}
     tried = {name: ESTIMATORS[name].fit(problems[terms[name]]) for name in names}
-    method, found = choose(tried) if settings.method == AUTO else next(iter(tried.items()))
-    return build_model(problems[terms[method]], found, method, logs)
+    method, chosen = choose(tried) if settings.method == AUTO else next(iter(tried.items()))
+    return build_model(problems[terms[method]], chosen, method, logs)
 
 
 def _problem(observation: Observation, cells: Partition, friction: str) -> Problem:
@@ -168,16 +168,16 @@ def _check_motion(logs: Sequence[Log]) -> None:
 
 def _check_twice(logs: Sequence[Log]) -> None:
     # Held-out error would be that of rows that were fitted.
-    for one, other in combinations(logs, 2):
-        if len(one.t) == len(other.t) and _same(one, other):
-            raise InputError(f"{one.path} and {other.path} are the same recording; give each log once")
+    for log, other in combinations(logs, 2):
+        if len(log.t) == len(other.t) and _same(log, other):
+            raise InputError(f"{log.path} and {other.path} are the same recording; give each log once")
 
 
-def _same(one: Log, other: Log) -> bool:
-    measured = [(one.position, other.position)]
-    if one.effort is not None and other.effort is not None:
-        measured.append((one.effort, other.effort))
-    elif one.effort is not other.effort:
+def _same(log: Log, other: Log) -> bool:
+    measured = [(log.position, other.position)]
+    if log.effort is not None and other.effort is not None:
+        measured.append((log.effort, other.effort))
+    elif log.effort is not other.effort:
         return False
-    rows = one.scratch.parts(len(one.t))
+    rows = log.scratch.parts(len(log.t))
     return all(np.array_equal(a[part], b[part]) for part in other.scratch.each(rows) for a, b in measured)

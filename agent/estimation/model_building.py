@@ -24,13 +24,13 @@ _TOO_FAST = 2.0  # times a joint's highest speed by the robot description
 _NAMED = 8  # parameters of directions that are not in the data
 
 
-def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[Log]) -> IdentifiedModel:
+def build_model(problem: Problem, fit: Estimate, method: str, logs: Sequence[Log]) -> IdentifiedModel:
     """The identified model of an estimate."""
     observation, moments = problem.observation, problem.moments
     rows = moments.rows.sum(axis=(0, 1))
-    times = problem.autocorrelation_times(found.parameters)
+    times = problem.autocorrelation_times(fit.parameters)
     first = observation.segments[0].motion
-    silent = silent_directions(moments, found.weights, problem.prior, times)
+    silent = silent_directions(moments, fit.weights, problem.prior, times)
     model = IdentifiedModel(
         robot=observation.robot,
         independent=observation.rigid.independent,
@@ -38,19 +38,19 @@ def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[L
         standard_names=observation.rigid.standard_names,
         combinations=observation.rigid.combinations,
         terms=problem.terms,
-        values=found.parameters,
-        covariance=covariance(problem, found),
+        values=fit.parameters,
+        covariance=covariance(problem, fit),
         cutoff=first.cutoff,
         order=first.order,
         method=method,
-        weights=found.weights,
-        residual_rmse=np.sqrt(moments.energy(found.parameters).sum(axis=0) / rows),
-        held_out_rmse=np.sqrt(found.held_out.sum(axis=(0, 1)) / rows),
-        condition_number=condition_number(moments.weighted(found.weights)),
-        standard=found.standard,
-        group_rmse=_group_rmse(moments, found),
+        weights=fit.weights,
+        residual_rmse=np.sqrt(moments.energy(fit.parameters).sum(axis=0) / rows),
+        held_out_rmse=np.sqrt(fit.held_out.sum(axis=(0, 1)) / rows),
+        condition_number=condition_number(moments.weighted(fit.weights)),
+        standard=fit.standard,
+        group_rmse=_group_rmse(moments, fit),
         standstill_speed=observed_standstill_speed(observation),
-        prior=parameter_prior(problem, found),
+        prior=parameter_prior(problem, fit),
         provenance={
             **_provenance(observation, logs),
             "link_prior": problem.links,
@@ -59,13 +59,13 @@ def build_model(problem: Problem, found: Estimate, method: str, logs: Sequence[L
         },
     )
     model = replace(model, values=np.where(model.unmoved, problem.prior.mean, model.values))
-    return replace(model, notes=tuple(_notes(model, problem, found, silent)))
+    return replace(model, notes=tuple(_notes(model, problem, fit, silent)))
 
 
-def _group_rmse(moments: Moments, found: Estimate) -> np.ndarray:
+def _group_rmse(moments: Moments, fit: Estimate) -> np.ndarray:
     """(2, n) held-out RMSE in motion, and at standstill: not below that in motion, which does where none stands."""
     rows = moments.rows.sum(axis=0)
-    moving, still = np.sqrt(found.held_out.sum(axis=0) / np.maximum(rows, 1))
+    moving, still = np.sqrt(fit.held_out.sum(axis=0) / np.maximum(rows, 1))
     moving = np.where(rows[0] > 0, moving, still)
     return np.stack([moving, np.maximum(moving, still)])
 
@@ -79,13 +79,13 @@ def condition_number(total: np.ndarray) -> float:
     return float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-14 * values[-1] else float("inf")
 
 
-def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, silent: np.ndarray) -> Iterator[str]:
+def _notes(model: IdentifiedModel, problem: Problem, fit: Estimate, silent: np.ndarray) -> Iterator[str]:
     segments = "segments of the motion, all cycles together, with a guard between them"
     kind = "whole motions" if problem.partition.whole_motions else segments
     yield f"Held-out errors: {problem.partition.folds} folds of {kind}."
-    if found.note:
-        yield found.note
-    if found.prior_weight > 0:
+    if fit.note:
+        yield fit.note
+    if fit.prior_weight > 0:
         yield from _described_links(model, problem)
         if problem.terms == paper_terms([Reversal()] * model.robot.dof, ("offset",)):
             yield (
@@ -105,7 +105,7 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, silent: np
             "parameters. Predictions of similar motions are sound, single values are not; a motion planned for "
             "excitation, or a larger sub-region, separates them."
         )
-    if len(silent) and found.prior_weight > 0:
+    if len(silent) and fit.prior_weight > 0:
         names = ", ".join(_leading_names(model.names, silent))
         yield (
             f"Record more varied motion if you need these values: {names}. These logs leave {len(silent)} of "
@@ -113,7 +113,7 @@ def _notes(model: IdentifiedModel, problem: Problem, found: Estimate, silent: np
             f"({_prior_in_words(problem.links)}). Torque of similar motions does not depend on them."
         )
     still = problem.moments.rows[:, 1].sum(axis=0) / problem.moments.rows.sum(axis=(0, 1))
-    lighter = np.sqrt(found.weights[1] / found.weights[0])
+    lighter = np.sqrt(fit.weights[1] / fit.weights[0])
     shares = [
         f"{name} {100 * share:.0f} % (weight {weight:.2f})"
         for name, share, weight in zip(model.robot.joint_names, still, lighter, strict=True)
@@ -198,7 +198,7 @@ def _leading_names(names: Sequence[str], directions: np.ndarray) -> list[str]:
 def _provenance(observation: Observation, logs: Sequence[Log]) -> dict[str, Any]:
     rows = [sum(len(s.time) for s in observation.segments if s.log_index == k) for k in range(len(logs))]
     return {
-        **{key: found for key, found in machines_of(logs).items() if found},
+        **{key: machine for key, machine in machines_of(logs).items() if machine},
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "smoothing_hz": float(observation.segments[0].motion.pass_edge),
         "logs": [

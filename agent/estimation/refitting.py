@@ -62,23 +62,23 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
     problem = Problem.pose(observation, cells, model.terms, model.base_values)
     if parameters == "all":
         problem = problem.with_own_prior_weight()
-        found = ESTIMATORS[model.method].fit(problem)
-        fresh = build_model(problem, found, model.method, logs)
-        return _judged(problem, found, replace(fresh, effects=model.effects), model)
+        fit = ESTIMATORS[model.method].fit(problem)
+        fresh = build_model(problem, fit, model.method, logs)
+        return _judged(problem, fit, replace(fresh, effects=model.effects), model)
     times = problem.autocorrelation_times(_friction(problem, model).parameters)
     problem = replace(problem, prior_weight=float(np.median(times)))
-    found = _friction(problem, model)
-    fresh = build_model(problem, found, model.method, logs)
+    fit = _friction(problem, model)
+    fresh = build_model(problem, fit, model.method, logs)
     notes = (fresh.notes[0], "Friction estimated again; base parameters are those of the model before.")
     fresh = replace(
         fresh,
-        covariance=_covariance(problem, found, model),
+        covariance=_covariance(problem, fit, model),
         condition_number=model.condition_number,
         effects=model.effects,
         prior=_held(model.prior, fresh.prior, len(model.independent)),
         notes=notes,
     )
-    return _judged(problem, found, fresh, model)
+    return _judged(problem, fit, fresh, model)
 
 
 def conditional_covariance(model: IdentifiedModel) -> np.ndarray:
@@ -117,13 +117,13 @@ def _held(before: ParameterPrior | None, fresh: ParameterPrior | None, base: int
     return ParameterPrior(*(np.append(old[:base], new[base:]) for old, new in arrays))
 
 
-def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np.ndarray:
+def _covariance(problem: Problem, fit: Estimate, model: IdentifiedModel) -> np.ndarray:
     base = len(model.independent)
-    times = problem.autocorrelation_times(found.parameters)
+    times = problem.autocorrelation_times(fit.parameters)
     moments, precision = problem.moments, problem.prior.precision[base:, base:]
-    stationary = np.linalg.inv(moments.weighted(found.weights / times)[base:-1, base:-1] + precision)
-    total = moments.weighted(found.weights)
-    widen = np.sqrt(np.maximum(1.0, jackknife(problem, found)[base:] / np.diag(stationary)))
+    stationary = np.linalg.inv(moments.weighted(fit.weights / times)[base:-1, base:-1] + precision)
+    total = moments.weighted(fit.weights)
+    widen = np.sqrt(np.maximum(1.0, jackknife(problem, fit)[base:] / np.diag(stationary)))
     own = stationary * np.outer(widen, widen)
     gain = -np.linalg.solve(total[base:-1, base:-1] + problem.prior_weight * precision, total[base:-1, :base])
     of_base = model.covariance[:base, :base]
@@ -131,10 +131,10 @@ def _covariance(problem: Problem, found: Estimate, model: IdentifiedModel) -> np
     return np.block([[of_base, passed_on.T], [passed_on, own + passed_on @ gain.T]])
 
 
-def _judged(problem: Problem, found: Estimate, fresh: IdentifiedModel, model: IdentifiedModel) -> Refit:
+def _judged(problem: Problem, fit: Estimate, fresh: IdentifiedModel, model: IdentifiedModel) -> Refit:
     moments = problem.moments
     rows = np.maximum(1, moments.rows[:, 0].sum(axis=0))
-    held_out = np.sqrt(found.held_out[:, 0].sum(axis=0) / rows)
+    held_out = np.sqrt(fit.held_out[:, 0].sum(axis=0) / rows)
     return Refit(fresh, held_out, np.sqrt(moments.energy(model.values)[0] / rows))
 
 

@@ -18,30 +18,32 @@ _METHOD_GAIN = 0.02  # of the squared error held out
 _NOT_PHYSICAL = 3.0  # times the error of the first estimator, from which on a consistent fit is a sign of wrong data
 
 
-def choose(found: dict[str, Estimate]) -> tuple[str, Estimate]:
+def choose(estimates: dict[str, Estimate]) -> tuple[str, Estimate]:
     """Name and estimate of the best of several estimators by name, with the reason in its note.
 
     The first is the reference. Another estimator replaces it only if its weighted squared error on the held-out folds
     is lower by 2 % and by two standard errors of that gain, and its error in all joints' torque is not larger. A much
     larger error of `consistent`, one of them, reveals data that no arm can produce.
     """
-    first = next(iter(found))
-    weights = found[first].weights
-    errors = {name: np.sum(weights * estimate.held_out, axis=(1, 2)) for name, estimate in found.items()}
-    reference = found[first].held_out
-    better = [n for n, one in found.items() if predicts_better(reference, one.held_out, weights, _METHOD_GAIN)]
+    first = next(iter(estimates))
+    weights = estimates[first].weights
+    errors = {name: np.sum(weights * estimate.held_out, axis=(1, 2)) for name, estimate in estimates.items()}
+    reference = estimates[first].held_out
+    better = [
+        n for n, estimate in estimates.items() if predicts_better(reference, estimate.held_out, weights, _METHOD_GAIN)
+    ]
     best = min(better, key=lambda name: errors[name].sum(), default=first)
     table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())
     reason = f"It predicts held-out segments clearly better than {first}"
     if not better:
         reason = "The other methods do not predict held-out segments clearly better"
-    notes = [f"Method: {best}. {reason} (held-out error relative to {first}: {table}).", found[best].note]
+    notes = [f"Method: {best}. {reason} (held-out error relative to {first}: {table}).", estimates[best].note]
     if errors["consistent"].sum() > _NOT_PHYSICAL**2 * errors[first].sum():
         notes.append(
             "No bodies with mass and no friction that brakes explain these torques nearly as well: are signs and units "
             "of torques, gear ratios and gravity right?"
         )
-    return best, replace(found[best], note=" ".join(part for part in notes if part))
+    return best, replace(estimates[best], note=" ".join(part for part in notes if part))
 
 
 _LINK_GAIN = 0.05  # of the squared error held out
@@ -206,17 +208,17 @@ def _best_reversals(problem: Problem) -> tuple[Problem, list[Reversal]]:
         for axle in range(problem.observation.robot.dof)
     }
     base = problem.observation.rigid.count
-    choice = {axle: int(found[0]) for axle, found in options.items()}
+    choice = {axle: int(indices[0]) for axle, indices in options.items()}
     reversals = {}
     for _ in range(2):
         fit = problem.select(np.array(sorted([*fixed, *choice.values()])))
         total = problem.moments.weighted(fit.weights())
-        for axle, found in options.items():
+        for axle, indices in options.items():
             chosen = [*fixed, *(k for a, k in choice.items() if a != axle)]
             others = np.concatenate([np.arange(base), base + np.array(chosen)])
-            error = _trial(total, total, problem.prior, fit.prior_weight, others, base + found)[1]
-            choice[axle] = int(found[np.argmin(error)])
-            reversals[axle] = _between([problem.terms[k].reversal or Reversal() for k in found], error)
+            error = _trial(total, total, problem.prior, fit.prior_weight, others, base + indices)[1]
+            choice[axle] = int(indices[np.argmin(error)])
+            reversals[axle] = _between([problem.terms[k].reversal or Reversal() for k in indices], error)
     return problem.select(np.array(sorted([*fixed, *choice.values()]))), list(reversals.values())
 
 
@@ -319,10 +321,10 @@ def predictive_cutoff(problem: Problem, parameters: np.ndarray) -> tuple[float, 
     frequency = np.fft.rfftfreq(length, motion.step / motion.rate)
     band = frequency <= motion.cutoff
     mean = np.concatenate(torques).mean(axis=0)
-    left = _power(residuals, length)[band]
+    residual = _power(residuals, length)[band]
     measured = _power([torque - mean for torque in torques], length)[band]
     beyond = np.cumsum(measured[::-1], axis=0)[::-1] - measured
-    cost = np.cumsum(left, axis=0) + beyond
+    cost = np.cumsum(residual, axis=0) + beyond
     worse = cost / np.maximum(cost.min(axis=0), 1e-300)
     allowed = np.flatnonzero((worse.mean(axis=1) <= _NOT_WORSE * worse.mean(axis=1).min()) | (frequency[band] < LOWEST))
     cutoff = max(float(f"{frequency[allowed[-1]]:.2g}"), LOWEST)

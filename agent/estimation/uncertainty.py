@@ -25,43 +25,43 @@ from agent.model import ParameterPrior
 _SPECTRUM = 256  # rows in one piece of the estimate of a spectrum
 
 
-def covariance(problem: Problem, found: Estimate) -> np.ndarray:
+def covariance(problem: Problem, fit: Estimate) -> np.ndarray:
     """(p, p) covariance of an estimate; of directions that one without prior leaves open, the prior's."""
     prior, count = problem.prior, problem.partition.clusters
-    total = found.moments.weighted(found.weights)
-    if found.prior_weight > 0:
-        bread = inverse(total[:-1, :-1] + found.prior_weight * prior.precision)
-        stationary = bread @ (_noise(problem, found) + found.prior_weight**2 * prior.precision) @ bread.T
+    total = fit.moments.weighted(fit.weights)
+    if fit.prior_weight > 0:
+        bread = inverse(total[:-1, :-1] + fit.prior_weight * prior.precision)
+        stationary = bread @ (_noise(problem, fit) + fit.prior_weight**2 * prior.precision) @ bread.T
     else:
         bread = pseudo_inverse(total[:-1, :-1])
-        stationary = bread @ _noise(problem, found) @ bread.T + _left_open(total[:-1, :-1], prior)
+        stationary = bread @ _noise(problem, fit) @ bread.T + _left_open(total[:-1, :-1], prior)
     if count < 2:
         return stationary
-    ratio = jackknife(problem, found) / np.diag(stationary)
+    ratio = jackknife(problem, fit) / np.diag(stationary)
     widen = np.sqrt(np.where(ratio > 1 + 2 * np.sqrt(2 / (count - 1)), ratio, 1.0))
     return stationary * np.outer(widen, widen)
 
 
-def jackknife(problem: Problem, found: Estimate) -> np.ndarray:
+def jackknife(problem: Problem, fit: Estimate) -> np.ndarray:
     """(p,) variances by leaving out one cluster after the other; zero where there is one only."""
-    total, cells = found.moments.weighted(found.weights), problem.partition
-    left_out = (found.moments.weighted(found.weights, cells.cluster == cluster) for cluster in range(cells.clusters))
-    estimates = np.array([found.solver(total - part) for part in left_out])
+    total, cells = fit.moments.weighted(fit.weights), problem.partition
+    left_out = (fit.moments.weighted(fit.weights, cells.cluster == cluster) for cluster in range(cells.clusters))
+    estimates = np.array([fit.solver(total - part) for part in left_out])
     count = len(estimates)
     return np.asarray((count - 1) / count * np.sum((estimates - estimates.mean(axis=0)) ** 2, axis=0))
 
 
-def parameter_prior(problem: Problem, found: Estimate) -> ParameterPrior | None:
+def parameter_prior(problem: Problem, fit: Estimate) -> ParameterPrior | None:
     """What was held before the data, and how much of its variance they took away; None for an estimate without prior.
 
     The share is 1 - diag(A⁻¹) / diag((k Λ)⁻¹), a prior that counts as much as rows that are not independent do.
     """
-    if found.prior_weight == 0:
+    if fit.prior_weight == 0:
         return None
-    precision = found.prior_weight * problem.prior.precision
+    precision = fit.prior_weight * problem.prior.precision
     before = np.diag(inverse(precision))
-    after = np.diag(inverse(problem.moments.weighted(found.weights)[:-1, :-1] + precision))
-    deviation = np.sqrt(found.prior_weight * before)
+    after = np.diag(inverse(problem.moments.weighted(fit.weights)[:-1, :-1] + precision))
+    deviation = np.sqrt(fit.prior_weight * before)
     return ParameterPrior(problem.prior.mean, deviation, np.clip(1 - after / before, 0.0, 1.0))
 
 
@@ -73,15 +73,15 @@ def _left_open(matrix: np.ndarray, prior: Prior) -> np.ndarray:
     return null @ (inverse(prior.precision) + np.outer(prior.mean, prior.mean)) @ null.T
 
 
-def _noise(problem: Problem, found: Estimate) -> np.ndarray:
+def _noise(problem: Problem, fit: Estimate) -> np.ndarray:
     """(p, p) M = Xᵀ W E[e eᵀ] W X for stationary noise with the spectrum of the residuals."""
     observation = problem.observation
     joints = np.arange(observation.robot.dof)
-    root = [np.sqrt(found.weights)[still.astype(int), joints] for still in standstill(observation)]
-    scaled = [rows * scale for rows, scale in zip(problem.residuals(found.parameters), root, strict=True)]
+    root = [np.sqrt(fit.weights)[still.astype(int), joints] for still in standstill(observation)]
+    scaled = [rows * scale for rows, scale in zip(problem.residuals(fit.parameters), root, strict=True)]
     spectra = _spectra(scaled)
-    within = np.sum(found.weights * problem.moments.energy(found.parameters), axis=0)
-    without = np.sum(found.weights * found.held_out.sum(axis=0), axis=0)
+    within = np.sum(fit.weights * problem.moments.energy(fit.parameters), axis=0)
+    without = np.sum(fit.weights * fit.held_out.sum(axis=0), axis=0)
     spectra = spectra * np.sqrt(np.maximum(without / np.maximum(within, 1e-300), 1.0))
     total = np.zeros((problem.moments.parameters,) * 2)
     for segment, friction, scale in zip(observation.segments, problem.friction(), root, strict=True):

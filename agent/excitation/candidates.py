@@ -163,8 +163,8 @@ class Candidates:
             q, reachable = self.kinematics.find_on_branch(flat, near)
         reachable = reachable.reshape(points.shape[:2])
         refused = [
-            None if reached.all() else self.kinematics.refusal(one[reached.argmin()], self.posture)
-            for one, reached in zip(points, reachable, strict=True)
+            None if reached.all() else self.kinematics.refusal(via_points[reached.argmin()], self.posture)
+            for via_points, reached in zip(points, reachable, strict=True)
         ]
         return q.reshape(*points.shape[:2], -1), refused
 
@@ -178,10 +178,10 @@ class Candidates:
         poses, near = (
             np.concatenate(parts) for parts in zip(*((loop.poses[1:], _passing(loop)) for loop in planned), strict=True)
         )
-        found = iter(self.kinematics.find(poses, near)[1].reshape(len(planned), -1))
+        reachable = iter(self.kinematics.find(poses, near)[1].reshape(len(planned), -1))
 
         def checked(loop: Loop) -> Loop | KinematicsError:
-            reached = next(found)
+            reached = next(reachable)
             k = int(reached.argmin())
             return loop if reached[k] else self.kinematics.refusal(loop.poses[k + 1], _passing(loop)[k])
 

@@ -194,15 +194,15 @@ def _simulated(
 ) -> SetPointPlan | str:
     """The plan, or which limit the simulated arm breaks."""
     zero = np.zeros(len(limits.start))
-    found = []
+    runs = []
     for motion in motions:
         command = RecordedCommand(motion.time, motion.set_points, held=True)
         moved = free.run(free.numbers, command, (0.0, limits.start, zero), float(motion.time[-1]))
         if moved is None:
             return "the simulation blows up"
-        found.append(moved)
+        runs.append(moved)
     q, qd, torque, limited = (
-        np.concatenate([getattr(one, part) for one in found]) for part in ("q", "qd", "torque", "limited")
+        np.concatenate([getattr(simulated, part) for simulated in runs]) for part in ("q", "qd", "torque", "limited")
     )
     low, high = limits.whole
     outside = np.any((q < low) | (q > high), axis=0)
@@ -213,8 +213,8 @@ def _simulated(
         return (
             f"the servo of {names[int(np.argmax(often))]} is at its torque limit {100 * often.max():.0f} % of the time"
         )
-    for one in found:
-        if touching := _contact(free, one.q[:: max(1, round(_LOOKED_AT / free.step))], limits.start):
+    for simulated in runs:
+        if touching := _contact(free, simulated.q[:: max(1, round(_LOOKED_AT / free.step))], limits.start):
             return touching
     most = np.minimum(np.abs(free.servos.low), np.abs(free.servos.high))
     reached = np.stack([q.min(axis=0), q.max(axis=0)])

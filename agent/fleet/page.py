@@ -52,24 +52,25 @@ def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None)
 def _page(trends: FleetTrends, base: str) -> str:
     """HTML text; links to the pages of runs begin with `base`."""
     machines = sorted(
-        (_machine(trends, one, base) for one in trends.machines), key=lambda one: (-one["urgency"], one["robot"])
+        (_machine(trends, machine, base) for machine in trends.machines),
+        key=lambda machine: (-machine["urgency"], machine["robot"]),
     )
     data = {
         "kind": trends.kind,
-        "joints": list(dict.fromkeys(joint for one in trends.machines for joint in one.joints)),
+        "joints": list(dict.fromkeys(joint for machine in trends.machines for joint in machine.joints)),
         "gate": GATE,
         "columns": list(trends.tables),
         "machines": machines,
-        "families": [{"text": one.text(), "robots": one.robots} for one in trends.families],
+        "families": [{"text": family.text(), "robots": family.robots} for family in trends.families],
     }
-    look = sum(bool(one["why"]) for one in machines)
+    look = sum(bool(machine["why"]) for machine in machines)
     text = json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return filled(
         "agent.fleet",
         "fleet.html",
         found=trends,
         look=look,
-        runs=sum(len(one.runs) for one in trends.machines),
+        runs=sum(len(machine.runs) for machine in trends.machines),
         urgent=machines[: min(look, 15)],
         script=asset("agent.fleet", "fleet.js"),
         css=asset("agent.fleet", "fleet.css"),

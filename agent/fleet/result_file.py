@@ -65,7 +65,7 @@ def schema(kind: str, source: str = "") -> Any:
         | columns(numbers, "gap_before gap_after gap_floor")
         | {"gap_units": texts, "causes": cause, "result": text},
     }
-    found = (
+    fields = (
         columns(text, "robot run status reason")
         | {"exit_code": pa.int32(), "started": pa.timestamp("us", tz="UTC")}
         | columns(text, "serial tool")
@@ -73,7 +73,7 @@ def schema(kind: str, source: str = "") -> Any:
         | own[kind]
         | {"asked": text, "inputs": table(path=text, size=pa.int64(), stamp=text, sha256=text)}
     )
-    return pa.schema(list(found.items()), metadata={META: kind.encode(), SOURCE: source.encode()})
+    return pa.schema(list(fields.items()), metadata={META: kind.encode(), SOURCE: source.encode()})
 
 
 @dataclass(frozen=True)

@@ -96,11 +96,11 @@ def _bodies(standard: np.ndarray, layout: ParameterLayout, reach: float) -> np.n
     unit = np.array([0.1 * reach] * 3 + [1.0])  # a length, so that mass and inertia compare
     scaled = [pseudo_inertia(block) / np.outer(unit, unit) for block in blocks]
     least = 1e-4 * max(sum(float(np.abs(np.linalg.eigvalsh(part)).max()) for part in scaled), 1e-6)
-    found = np.empty_like(blocks)
+    bodies = np.empty_like(blocks)
     for k, part in enumerate(scaled):
         values, vectors = np.linalg.eigh(part)
-        found[k] = from_pseudo_inertia((vectors * np.maximum(values, least)) @ vectors.T * np.outer(unit, unit))
-    return found.ravel()
+        bodies[k] = from_pseudo_inertia((vectors * np.maximum(values, least)) @ vectors.T * np.outer(unit, unit))
+    return bodies.ravel()
 
 
 def _liftable(links: Dynamics, nominal: Dynamics) -> float:

@@ -123,8 +123,8 @@ class AxleMotion:
         """Work out several directions of one axle at once; `direction` returns them."""
         new = [r for r in reversals if r.kind == "travel" and (axle, r) not in self._known]
         if new:
-            found = dahl(self.position[:, axle], np.array([r.scale for r in new]))
-            self._known.update({(axle, r): found[:, k] for k, r in enumerate(new)})
+            directions = dahl(self.position[:, axle], np.array([r.scale for r in new]))
+            self._known.update({(axle, r): directions[:, k] for k, r in enumerate(new)})
 
     def direction(self, axle: int, reversal: Reversal) -> np.ndarray:
         """(S,) direction of sliding s."""

@@ -48,16 +48,16 @@ class IdentifiedModel(RigidFrictionModel):
 
         They are what was held before the data.
         """
-        found = np.zeros(len(self.values), dtype=bool)
+        unmoved = np.zeros(len(self.values), dtype=bool)
         if "range" not in self.provenance:
-            return found
+            return unmoved
         travelled = np.subtract(*(np.array(self.provenance["range"][key]) for key in ("highest", "lowest")))
         still = (self.robot.coupling != 0) @ (travelled > RESTS * self.robot.max_velocity) == 0
         first, b = len(self.standard_names) - self.robot.dof, len(self.independent)  # rotors come last
         for row, (combined, parameter) in enumerate(zip(self.projection, self.independent, strict=True)):
-            found[row] = parameter >= first and np.count_nonzero(combined) == 1 and still[parameter - first]
-        found[b:] = [bool(still[term.axle]) and term.form != "offset" for term in self.terms]
-        return found
+            unmoved[row] = parameter >= first and np.count_nonzero(combined) == 1 and still[parameter - first]
+        unmoved[b:] = [bool(still[term.axle]) and term.form != "offset" for term in self.terms]
+        return unmoved
 
     def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
         """(S, n) joint torque [N·m] of consecutive samples (S, n) at `time` (S,) [s], which only effects may need.
@@ -90,10 +90,10 @@ class IdentifiedModel(RigidFrictionModel):
         the joints' `speed` (S, n) says so, because stiction leaves friction open there.
         """
         variance = np.einsum("snp,pq,snq->sn", columns, self.covariance, columns, optimize=True)
-        rest = self.residual_rmse
+        held_out = self.residual_rmse
         if speed is not None and self.group_rmse is not None:
-            rest = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
-        return _NORMAL_95 * np.sqrt(variance + rest**2)
+            held_out = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
+        return _NORMAL_95 * np.sqrt(variance + held_out**2)
 
     def _term_unit(self, term: FrictionTerm) -> str:
         return term.unit(self.robot.joints[term.axle].prismatic)

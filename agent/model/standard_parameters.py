@@ -51,15 +51,15 @@ def full_parameters(model: RigidFrictionModel) -> np.ndarray:
     scale = 1 / np.sqrt(np.diag(log_det_hessian(start, layout)))
     length = np.linalg.norm(model.projection * scale, axis=1)
     rows, target = model.projection / length[:, None], model.base_values / length
-    found = nearest_bodies(rows, target, start, layout, _EXACT)
+    standard = nearest_bodies(rows, target, start, layout, _EXACT)
     # the last digits: the shortest correction onto P π = β
-    found = found + scale * (np.linalg.pinv(rows * scale) @ (target - rows @ found))
-    if not is_inside(found, layout):
+    standard = standard + scale * (np.linalg.pinv(rows * scale) @ (target - rows @ standard))
+    if not is_inside(standard, layout):
         raise RejectedError(
             f"no links that could exist have the base parameters of this {model.method!r} fit (a negative mass, "
             "inertia or rotor would be needed), so there is nothing to export; estimate with --method consistent"
         )
-    return found
+    return standard
 
 
 def possible_model(model: Model) -> tuple[Model, str]:
@@ -74,8 +74,8 @@ def possible_model(model: Model) -> tuple[Model, str]:
         start = reference_parameters(model)
         standard = nearest_bodies(root @ model.projection, root @ model.base_values, start, layout, _NEAREST)
         base = model.projection @ standard
-        found = replace(model, values=np.concatenate([base, model.values[b:]]), standard=standard)
-        return found, _how_far(model, base)
+        possible = replace(model, values=np.concatenate([base, model.values[b:]]), standard=standard)
+        return possible, _how_far(model, base)
     return model, ""
 
 
@@ -86,7 +86,7 @@ def nearest_bodies(
 
     `weights` are the ascending μ of the module's formula; each minimum is where Newton's method starts for the next.
     """
-    slope, found = log_det_gradient(start, layout), start
+    slope, bodies = log_det_gradient(start, layout), start
 
     def value(standard: np.ndarray, weight: float) -> float:
         missed = columns @ standard - target
@@ -95,22 +95,22 @@ def nearest_bodies(
     for weight in weights:
         square = weight * columns.T @ columns
         for _ in range(_STEPS):
-            gradient = weight * columns.T @ (columns @ found - target) + slope - log_det_gradient(found, layout)
-            hessian = square + log_det_hessian(found, layout)
+            gradient = weight * columns.T @ (columns @ bodies - target) + slope - log_det_gradient(bodies, layout)
+            hessian = square + log_det_hessian(bodies, layout)
             scale = 1 / np.sqrt(np.diag(hessian))
             step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
-            share, now, falls = 1.0, value(found, weight), float(gradient @ step)
+            share, now, falls = 1.0, value(bodies, weight), float(gradient @ step)
             while share > _SHORTEST and not (
-                is_inside(found + share * step, layout)
-                and value(found + share * step, weight) <= now + 0.1 * share * falls + 1e-12 * abs(now)
+                is_inside(bodies + share * step, layout)
+                and value(bodies + share * step, weight) <= now + 0.1 * share * falls + 1e-12 * abs(now)
             ):
                 share /= 2
             if share <= _SHORTEST:
                 break
-            found = found + share * step
-            if np.linalg.norm(step / scale) < _SETTLED * np.linalg.norm(found / scale):
+            bodies = bodies + share * step
+            if np.linalg.norm(step / scale) < _SETTLED * np.linalg.norm(bodies / scale):
                 break
-    return found
+    return bodies
 
 
 def check_physical(robot: RobotDescription, standard: np.ndarray) -> None:
@@ -247,11 +247,11 @@ def _how_far(model: RigidFrictionModel, base: np.ndarray) -> str:
     q = rng.uniform(lower, upper, (_STATES, robot.dof))
     qd = rng.uniform(-0.5, 0.5, q.shape) * robot.max_velocity
     qdd = rng.uniform(-0.5, 0.5, q.shape) * robot.max_acceleration
-    whole, left = (
+    whole, difference = (
         np.sqrt(np.mean(model.rigid.torque(q, qd, qdd, values) ** 2, axis=0))
         for values in (model.base_values, model.base_values - base)
     )
-    shares = left / np.maximum(whole, 1e-9 * whole.max())
+    shares = difference / np.maximum(whole, 1e-9 * whole.max())
     worst = int(np.argmax(shares))
     return (
         f"no bodies that could exist have exactly the parameters of this {model.method!r} fit; the nearest that could "

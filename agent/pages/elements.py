@@ -143,7 +143,8 @@ def render(page: Page) -> str:
     """HTML text: no script or picture from anywhere else, light and dark, printable."""
     shown = [section for section in page.sections if section is not None]
     sections = [
-        (name, one, [_part(part) for part in one.parts]) for name, one in zip(_identifiers(shown), shown, strict=True)
+        (name, section, [_part(part) for part in section.parts])
+        for name, section in zip(_identifiers(shown), shown, strict=True)
     ]
     kinds = {type(part) for section in shown for part in section.parts}
     library = _uplot() if Plot in kinds else {}

@@ -96,11 +96,11 @@ def _runs_of(kind: str, runs: Sequence[PastRun], current: Collection[str]) -> Se
 
 
 def _machine(
-    one: Watch, parameters: Sequence[Trend], number: int, runs: Sequence[PastRun], current: Collection[str]
+    watch: Watch, parameters: Sequence[Trend], number: int, runs: Sequence[PastRun], current: Collection[str]
 ) -> Section:
-    text = one.lines() or ["No drift or step is both significant and of practical size."]
+    text = watch.lines() or ["No drift or step is both significant and of practical size."]
     rows = []
-    for trend in sorted(one.trends, key=lambda trend: (not trend.alarm, trend.probability)):
+    for trend in sorted(watch.trends, key=lambda trend: (not trend.alarm, trend.probability)):
         change = f"{100 * trend.change:+.2f}" if trend.kind != "none" else ""
         figures = (change, trend.since, f"{trend.probability:.1g}", f"{100 * np.ptp(trend.common):.2f}")
         rows.append((trend.name, trend.kind, *figures, "alarm" if trend.alarm else ""))
@@ -110,11 +110,11 @@ def _machine(
         "By chance: probability that scatter alone causes as much. Alarms use the friction at a speed, as single "
         "parameters are correlated."
     )
-    parts: list[Plot | Table] = [_course(one, parameters, number, runs, current)]
+    parts: list[Plot | Table] = [_course(watch, parameters, number, runs, current)]
     parts.append(Table(f"friction-trends-{number}", header, rows))
     if parameters:
         parts.append(_parameter_table(parameters, number))
-    return Section(f"{one.robot} {one.serial}".strip() + ": history of one program", [*text, explained], parts)
+    return Section(f"{watch.robot} {watch.serial}".strip() + ": history of one program", [*text, explained], parts)
 
 
 def _parameter_table(parameters: Sequence[Trend], number: int) -> Table:

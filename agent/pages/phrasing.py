@@ -343,9 +343,9 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _found_if_there(result: Mapping[str, Any]) -> str:
     """Confidence in "no gap": the effects that would have been found, joint by joint, and the model's own error."""
-    found, count = shown(result)
-    some = f"{found} of {count} effects, counted joint by joint,"
-    known = "Every effect" if found == count else some if found else "No effect"
+    detectable, count = shown(result)
+    some = f"{detectable} of {count} effects, counted joint by joint,"
+    known = "Every effect" if detectable == count else some if detectable else "No effect"
     error = result.get("model_error") or 0.0
     limits = f" The model errs by {100 * error:.0f} % of the torque." if error > LIMITS.weak_model else ""
     return f"{known} of practical size would have been found (80 % power).{limits}"

@@ -143,7 +143,8 @@ def _kept(panels: Sequence[Panel]) -> np.ndarray:
 
 def _part(panel: Panel, rows: np.ndarray) -> Panel:
     series = [
-        replace(one, values=one.values[rows], low=None if one.low is None else one.low[rows]) for one in panel.series
+        replace(curve, values=curve.values[rows], low=None if curve.low is None else curve.low[rows])
+        for curve in panel.series
     ]
     return replace(panel, series=series, x=None if panel.x is None else panel.x[rows])
 

@@ -190,7 +190,7 @@ def _stretches(
     moving = moving_segments(q, max(2, round(Aligner.REST * log.sample_rate)))
     interpolator = FlyInterpolator(robot, period=1.0 / log.sample_rate)
     stretches: list[tuple[Any, RecordedMove]] = []
-    at, stand, left = 0, q[0], None
+    at, stand, last_stop = 0, q[0], None
     for moves, waited in _chains(statements):
         planned = interpolator.plan(moves, stand).q
         if np.ptp(planned, axis=0).max() < _THERE:
@@ -207,12 +207,12 @@ def _stretches(
                 f"{log.path}: the set-points do not follow the program: after {since:.2f} s the arm does not come to "
                 f"{moves[-1].name or 'the next stop'}; is it the program that was recorded?"
             )
-        if left is not None and waited == 0.0:
-            rests.setdefault(left[0], []).append(float(t[a] - left[1]))
+        if last_stop is not None and waited == 0.0:
+            rests.setdefault(last_stop[0], []).append(float(t[a] - last_stop[1]))
         even = np.diff(t[a:b]).max() <= 2.5 / log.sample_rate
         if even:
             stretches.append((way_key(moves), RecordedMove(tuple(moves), t[a:b], q[a:b])))
-        left = Pdl2Settings.of(moves[-1].settings).termination.value, float(t[b - 1])
+        last_stop = Pdl2Settings.of(moves[-1].settings).termination.value, float(t[b - 1])
         at, stand = last + 1, q[b - 1]
         if at == len(moving):
             break

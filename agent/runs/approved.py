@@ -120,8 +120,8 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
     """Differences between two problems, in one sentence for people."""
     by_part: dict[str, list[str]] = {}
     for place, before, after in _differing(then, now):
-        part, rest = _where(place)
-        by_part.setdefault(part, []).append(f"{rest} {_change(before, after)}".strip())
+        part, detail = _where(place)
+        by_part.setdefault(part, []).append(f"{detail} {_change(before, after)}".strip())
     return "; ".join(
         f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}"
         + (f" and {len(changes) - _MAX_LISTED} more" if len(changes) > _MAX_LISTED else "")

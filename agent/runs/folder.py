@@ -117,9 +117,9 @@ class RunFolder:
         """Values noted by a finished step; None if it has not finished."""
         return self.state["steps"].get(step)
 
-    def finish(self, step: str, **found: Any) -> dict[str, Any]:
+    def finish(self, step: str, **facts: Any) -> dict[str, Any]:
         """Note a step as finished, with what a resumed run needs to know of it."""
-        self.state["steps"][step] = {"finished": datetime.now(UTC).isoformat(timespec="seconds"), **finite(found)}
+        self.state["steps"][step] = {"finished": datetime.now(UTC).isoformat(timespec="seconds"), **finite(facts)}
         self._save()
         return self.state["steps"][step]
 

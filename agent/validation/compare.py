@@ -162,20 +162,20 @@ def compare_models(
 def _change_deviations(before: IdentifiedModel, after: IdentifiedModel) -> dict[str, float]:
     """Standard deviation of the change of every parameter that both models have."""
     variances = [np.diag(covariance) for covariance in _covariances(before, after)]
-    found = [dict(zip(model.names, v, strict=True)) for model, v in zip((before, after), variances, strict=True)]
-    return {name: float(np.sqrt(found[0][name] + found[1][name])) for name in found[1] if name in found[0]}
+    by_name = [dict(zip(model.names, v, strict=True)) for model, v in zip((before, after), variances, strict=True)]
+    return {name: float(np.sqrt(by_name[0][name] + by_name[1][name])) for name in by_name[1] if name in by_name[0]}
 
 
 def _covariances(before: IdentifiedModel, after: IdentifiedModel) -> list[np.ndarray]:
     """(p, p) of each model; of two that share their base parameters, what friction alone may be off."""
     if not _share_base(before, after):
         return [before.covariance, after.covariance]
-    found = []
+    covariances = []
     for model in (before, after):
         b = len(model.independent)
-        found.append(np.zeros_like(model.covariance))
-        found[-1][b:, b:] = conditional_covariance(model)
-    return found
+        covariances.append(np.zeros_like(model.covariance))
+        covariances[-1][b:, b:] = conditional_covariance(model)
+    return covariances
 
 
 def _share_base(before: IdentifiedModel, after: IdentifiedModel) -> bool:

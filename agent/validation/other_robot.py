@@ -33,20 +33,20 @@ def is_of_another_robot(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
         again = estimate(model.robot, measured, EstimationSettings(settings, "plain"))
     except InputError:
         return False
-    found = [motion for log in measured for motion in motions(log, settings)]
-    q, qdd = (np.concatenate([getattr(motion, name)[::_EVERY] for motion in found]) for name in ("q", "qdd"))
-    torque = np.concatenate([motion.torque for motion in found if motion.torque is not None])
+    filtered = [motion for log in measured for motion in motions(log, settings)]
+    q, qdd = (np.concatenate([getattr(motion, name)[::_EVERY] for motion in filtered]) for name in ("q", "qdd"))
+    torque = np.concatenate([motion.torque for motion in filtered if motion.torque is not None])
     moving = np.flatnonzero(np.ptp(q, axis=0) > 0)
     error = again.held_out_rmse if again.group_rmse is None else again.group_rmse[0]
     if np.any(error[moving] > PREDICTED * np.std(torque, axis=0)[moving]):
         return False
     still = np.zeros_like(q)
     columns = (model.rigid.columns(q, still, qdd) - model.rigid.columns(q, still, still))[:, moving]
-    own, other = (columns @ one.base_values for one in (model, again))
+    own, other = (columns @ fitted.base_values for fitted in (model, again))
     size = np.sqrt(np.minimum(np.mean(own**2, axis=0), np.mean(other**2, axis=0)))
     last = len(LINK_PARAMETERS) * (model.robot.dof - 1)
     load = columns @ model.projection[:, last : last + len(LINK_PARAMETERS)] / size[:, None]
     change = (other - own) / size
     load = load.reshape(-1, len(LINK_PARAMETERS))
-    left = change - (load @ np.linalg.lstsq(load, change.ravel(), rcond=1e-8)[0]).reshape(change.shape)
-    return bool(np.median(np.sqrt(np.mean(left**2, axis=0))) > _ANOTHER)
+    unexplained = change - (load @ np.linalg.lstsq(load, change.ravel(), rcond=1e-8)[0]).reshape(change.shape)
+    return bool(np.median(np.sqrt(np.mean(unexplained**2, axis=0))) > _ANOTHER)

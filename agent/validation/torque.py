@@ -58,7 +58,7 @@ class Validation:
     def to_dict(self) -> dict[str, Any]:
         """The document `validation/1`."""
         figures = {key: value for key, value in asdict(self).items() if key != "units"}
-        return {"schema": SCHEMA, **figures, "logs": [{"log": one.log, **asdict(one)} for one in self.logs]}
+        return {"schema": SCHEMA, **figures, "logs": [{"log": entry.log, **asdict(entry)} for entry in self.logs]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,10 +191,10 @@ def predicts(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
     A channel that is flipped, swapped or of another unit errs by about as much as its torque varies, all along. While a
     joint stands its torque is anything within stiction, and says nothing of that.
     """
-    found = _pooled(model, logs, "position", "velocity", "measured", "error")
-    if found is None:
+    signals = _pooled(model, logs, "position", "velocity", "measured", "error")
+    if signals is None:
         return False
-    position, velocity, measured, error = found
+    position, velocity, measured, error = signals
     moving = _moving(model, position, velocity)
     most = np.maximum(PREDICTED * np.std(measured, axis=0), _USUAL * model.held_out_rmse)
     return bool(moving) and all(np.median(np.abs(error[rows, k])) < most[k] for k, rows in moving.items())
@@ -205,20 +205,20 @@ def same_scale(model: IdentifiedModel, logs: Sequence[Log]) -> bool:
 
     A joint that carries little shows its friction, which a simulator may leave out.
     """
-    found = _pooled(model, logs, "measured", "predicted")
-    if found is None:
+    signals = _pooled(model, logs, "measured", "predicted")
+    if signals is None:
         return False
-    size, expected = (np.median(np.abs(signal), axis=0) for signal in found)
+    size, expected = (np.median(np.abs(signal), axis=0) for signal in signals)
     most = int(np.argmax(expected))
     return bool(size[most] < _SAME_UNIT * expected[most] and expected[most] < _SAME_UNIT * size[most])
 
 
 def flipped_joints(model: IdentifiedModel, log: Log) -> list[str]:
     """Joints whose torque a model predicts with the other sign only."""
-    found = _pooled(model, [log], "position", "velocity", "measured", "predicted")
-    if found is None:
+    signals = _pooled(model, [log], "position", "velocity", "measured", "predicted")
+    if signals is None:
         return []
-    position, velocity, measured, predicted = found
+    position, velocity, measured, predicted = signals
     names = []
     for k, rows in _moving(model, position, velocity).items():
         size = np.std(measured[:, k])
@@ -238,10 +238,10 @@ def _moving(model: IdentifiedModel, position: np.ndarray, velocity: np.ndarray) 
 def _pooled(model: IdentifiedModel, logs: Sequence[Log], *signals: str) -> list[np.ndarray] | None:
     """Signals of `Prediction`, (S, n) over all logs; None where one of these cannot be predicted."""
     try:
-        found = [predict_log(model, log) for log in logs]
+        predictions = [predict_log(model, log) for log in logs]
     except InputError:
         return None
-    return [np.concatenate([getattr(each, signal) for each in found]) for signal in signals]
+    return [np.concatenate([getattr(each, signal) for each in predictions]) for signal in signals]
 
 
 def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None = None) -> Validation:

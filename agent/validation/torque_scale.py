@@ -88,8 +88,8 @@ def torque_scales(model: IdentifiedModel, logs: Sequence[Log]) -> list[TorqueSca
     scale, without = _mass_terms(total), np.array([_mass_terms(total - part) for part in moments])
     interval = 1.96 * np.sqrt((_PARTS - 1) * np.mean((without - scale) ** 2, axis=0))
     return [
-        TorqueScale(joint.name, float(one), float(width), joint.torque_constant)
-        for joint, one, width in zip(model.robot.joints, scale, interval, strict=True)
+        TorqueScale(joint.name, float(factor), float(width), joint.torque_constant)
+        for joint, factor, width in zip(model.robot.joints, scale, interval, strict=True)
     ]
 
 

@@ -110,11 +110,11 @@ class PartMaker:
             raise MotionError(f"this controller has no $ORNT_TYPE {orientation.value}", index, "orientation", 1.0)
         if before is None:
             pose = kinematics.forward(q[None])[0]
-            place, turn = pose[:3, 3], Rotation.from_matrix(pose[:3, :3])
+            place, rotation = pose[:3, 3], Rotation.from_matrix(pose[:3, :3])
         else:
-            place, turn = before.leg.end, before.leg.turn * Rotation.from_rotvec(before.leg.by)
+            place, rotation = before.leg.end, before.leg.turn * Rotation.from_rotvec(before.leg.by)
         goal = self._pose(move.target, kinematics)
-        leg = Leg(place, goal[:3, 3], turn, (turn.inv() * Rotation.from_matrix(goal[:3, :3])).as_rotvec())
+        leg = Leg(place, goal[:3, 3], rotation, (rotation.inv() * Rotation.from_matrix(goal[:3, :3])).as_rotvec())
         via = None
         if move.type is MoveType.CIRCULAR:
             if move.via is None or arc(place, self._pose(move.via, kinematics)[:3, 3], leg.end, np.zeros(1)) is None:

@@ -83,8 +83,8 @@ class RampedMove:
                 low, high = (middle, high) if fits else (low, middle)
             high = low
         up, down = ramps(high)
-        left = self.length - up.length - down.length
-        return up, max(left, 0.0) / high, down
+        cruise = self.length - up.length - down.length
+        return up, max(cruise, 0.0) / high, down
 
     @property
     def duration(self) -> float:

@@ -145,8 +145,8 @@ class Session:
         """Read on until the client has closed too: closing on unread data would take back what it has not read yet."""
         until = time.monotonic() + LINGER
         with contextlib.suppress(OSError):
-            while (left := until - time.monotonic()) > 0:
-                self._socket.settimeout(left)
+            while (remaining := until - time.monotonic()) > 0:
+                self._socket.settimeout(remaining)
                 if not self._socket.recv(RECEIVE):
                     return
 

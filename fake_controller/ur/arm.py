@@ -76,18 +76,18 @@ class DenavitHartenberg:
         Raises:
             Unreachable: there is no solution.
         """
-        rng, found = np.random.default_rng(0), []
+        rng, solutions = np.random.default_rng(0), []
         for start in (near, *(near + rng.uniform(-1.5, 1.5, (30, 6)))):
             try:
                 q = self._solve(goal[None], start[None], 50)[0]
             except Unreachable:
                 continue
-            found.append(near + (q - near + np.pi) % (2 * np.pi) - np.pi)
-            if len(found) == 6 or np.abs(found[-1] - near).max() < 1.0:
+            solutions.append(near + (q - near + np.pi) % (2 * np.pi) - np.pi)
+            if len(solutions) == 6 or np.abs(solutions[-1] - near).max() < 1.0:
                 break
-        if not found:
+        if not solutions:
             raise Unreachable("no joint positions reach this pose")
-        return min(found, key=lambda q: float(np.abs(q - near).max()))
+        return min(solutions, key=lambda q: float(np.abs(q - near).max()))
 
     def _frames(self, q: np.ndarray) -> list[np.ndarray]:
         frames = [np.broadcast_to(np.eye(4), (len(q), 4, 4))]
@@ -110,8 +110,8 @@ class DenavitHartenberg:
         for _ in range(steps):
             frames = self._frames(q)
             error = twist_between(frames[-1], goals)
-            left = np.abs(error).max()
-            if left < enough:
+            residual = np.abs(error).max()
+            if residual < enough:
                 return q
             try:
                 step = np.linalg.solve(_jacobian(frames), error[..., None])[..., 0]
@@ -119,7 +119,7 @@ class DenavitHartenberg:
                 break
             largest = np.abs(step).max(axis=1, keepdims=True)
             q = q + step * np.minimum(1.0, _LARGEST_STEP / np.maximum(largest, 1e-12))
-            if left < 0.1 * np.sqrt(enough) and largest.max() < np.sqrt(enough):
+            if residual < 0.1 * np.sqrt(enough) and largest.max() < np.sqrt(enough):
                 return q
         if np.abs(twist_between(self.forward(q), goals)).max() > max(enough, _REACHED):
             raise Unreachable("a pose is out of reach or beyond a singularity")
@@ -134,8 +134,8 @@ def _jacobian(frames: list[np.ndarray]) -> np.ndarray:
 
 def twist_between(poses: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """(K, 6) translation and rotation vector, in the base frame, that lead from poses (K, 4, 4) to goals."""
-    turn = Rotation.from_matrix(goals[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
-    return np.hstack([goals[:, :3, 3] - poses[:, :3, 3], turn])
+    rotation = Rotation.from_matrix(goals[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
+    return np.hstack([goals[:, :3, 3] - poses[:, :3, 3], rotation])
 
 
 def matrix_of(pose: Sequence[float] | np.ndarray) -> np.ndarray:

@@ -93,8 +93,8 @@ def _type(name: str, table: dict[str, str], version: tuple[int, ...]) -> str:
 @cache
 def register_of(name: str) -> tuple[str, int] | None:
     """The list of registers and the index in it that a field stands for, if any."""
-    found = _REGISTER.fullmatch(name)
-    return None if found is None else (f"{found[1]}_{found[2]}", int(found[3]))
+    match = _REGISTER.fullmatch(name)
+    return None if match is None else (f"{match[1]}_{match[2]}", int(match[3]))
 
 
 def packed(types: list[str]) -> np.dtype[Any]:

@@ -76,10 +76,10 @@ class Stretch:
             self.length = float(np.abs(self.offset).max())
         else:
             begin = (arm.forward(start[None]) @ move.tcp)[0]
-            turn = Rotation.from_matrix(move.goal[:3, :3].T @ begin[:3, :3]).as_rotvec()
-            self.offset = np.concatenate([begin[:3, 3] - move.goal[:3, 3], turn])
+            rotation = Rotation.from_matrix(move.goal[:3, :3].T @ begin[:3, :3]).as_rotvec()
+            self.offset = np.concatenate([begin[:3, 3] - move.goal[:3, 3], rotation])
             way = float(np.linalg.norm(self.offset[:3]))
-            self.length = way if way > _NOTHING else float(np.linalg.norm(turn))
+            self.length = way if way > _NOTHING else float(np.linalg.norm(rotation))
             if move.via is not None:
                 self.length, self._circle = _circle(begin[:3, 3], move.via[:3, 3], move.goal[:3, 3])
         self.speed, self.acceleration = move.speed, move.acceleration
@@ -93,8 +93,8 @@ class Stretch:
 
     def offsets(self, s: np.ndarray) -> np.ndarray:
         """(K, 6) at s (K,) from the start."""
-        left = 1.0 - s / max(self.length, _NOTHING)
-        offsets = left[:, None] * self.offset
+        remaining = 1.0 - s / max(self.length, _NOTHING)
+        offsets = remaining[:, None] * self.offset
         if self._circle is not None:
             offsets[:, :3] = self._circle(s) - self.move.goal[:3, 3]
         return offsets
@@ -167,8 +167,8 @@ class UrInterpolator:
             self._plans[key] = planned, {name: getattr(self, name) for name in ("q", "_next", "_entered")}
             if len(self._plans) > _REMEMBERED:
                 self._plans.popitem(last=False)
-        planned, left = self._plans[key]
-        vars(self).update(left)
+        planned, state = self._plans[key]
+        vars(self).update(state)
         return planned
 
     def _plan(self, move: UrMove, after: UrMove | None) -> PlannedSetpoints:

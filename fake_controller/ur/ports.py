@@ -154,9 +154,9 @@ class ScriptConnection(UrConnection):
     def _next_script(self) -> str | None:
         """The next whole script or line, if there is one."""
         if not self._text.startswith(("def ", "sec ")):
-            line, newline, rest = self._text.partition("\n")
+            line, newline, remainder = self._text.partition("\n")
             if newline:
-                self._text = rest
+                self._text = remainder
             return line if newline else None
         lines = self._text.split("\n")
         for k, line in enumerate(lines[:-1]):

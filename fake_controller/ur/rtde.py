@@ -90,12 +90,12 @@ class RtdeConnection(UrConnection):
         names = _names(payload[8:])
         types = [output_type(name, self.cell.version) for name in names]
         self._every = int(1 / self.cell.period / frequency + 1e-9)
-        found = "NOT_FOUND" not in types and bool(names)
-        self._outputs = names if found else None
+        known = "NOT_FOUND" not in types and bool(names)
+        self._outputs = names if known else None
         self._started = False
-        if found:
+        if known:
             self._layout = np.dtype([("size", ">u2"), ("kind", "u1"), ("recipe", "u1"), ("values", packed(types))])
-        self._reply("O", bytes([found]) + ",".join(types).encode())
+        self._reply("O", bytes([known]) + ",".join(types).encode())
 
     def _set_up_inputs(self, payload: bytes) -> None:
         names = _names(payload)

@@ -131,9 +131,9 @@ class Script:
 
     def _block(self, block: Node, scope: _Scope) -> Run:
         for statement in block.children:
-            left = yield from getattr(self, f"_{statement.data}")(statement, scope)
-            if left is not None:
-                return left
+            outcome = yield from getattr(self, f"_{statement.data}")(statement, scope)
+            if outcome is not None:
+                return outcome
         return None
 
     def _routine(self, node: Node, scope: _Scope) -> Run:
@@ -151,11 +151,11 @@ class Script:
         condition, block = node.children
         while (yield from self._value(condition, scope)):
             yield None
-            left = yield from self._block(block, scope)
-            if left is not None and left[0] == "break":
+            outcome = yield from self._block(block, scope)
+            if outcome is not None and outcome[0] == "break":
                 break
-            if left is not None and left[0] == "return":
-                return left
+            if outcome is not None and outcome[0] == "return":
+                return outcome
         return None
 
     def _leave(self, node: Node, scope: _Scope) -> Run:
@@ -277,8 +277,8 @@ class Script:
                 scope.values[str(key)] = yield from self._value(default, scope)
         if len(scope.values) != len(parameters) or len(values) > len(parameters) or scope.depth > _DEEPEST:
             raise ScriptError(f"runtime_error: {name} cannot be called like that", name.line, name.column)
-        left = yield from self._block(block, scope)
-        return None if left is None else left[1]
+        outcome = yield from self._block(block, scope)
+        return None if outcome is None else outcome[1]
 
 
 def _at(request: Request | Go, node: Node) -> Request | Go:

@@ -67,8 +67,8 @@ def _kinds(count: int, shares: Mapping[str, float]) -> list[str]:
     """Kinds of `count` runs by the largest remainder, so that even a dozen has some of each."""
     wanted = {kind: share * count for kind, share in shares.items()}
     counts = {kind: int(value) for kind, value in wanted.items()}
-    rest = sorted(wanted, key=lambda kind: counts[kind] - wanted[kind])
-    for kind in rest[: count - sum(counts.values())]:
+    by_remainder = sorted(wanted, key=lambda kind: counts[kind] - wanted[kind])
+    for kind in by_remainder[: count - sum(counts.values())]:
         counts[kind] += 1
     return [kind for kind, times in counts.items() for _ in range(times)]
 

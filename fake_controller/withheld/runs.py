@@ -88,7 +88,7 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     lower, upper = (np.clip(limit, -_WIDEST, _WIDEST) for limit in robot.position_limits)
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     home = at = middle + rng.uniform(-0.3, 0.3, robot.dof) * half
-    left = cycle
+    remaining = cycle
     targets: list[np.ndarray] = []
     reach = 3.0 * speed * robot.max_velocity  # of one move that takes about three seconds
 
@@ -99,8 +99,8 @@ def _draw_cycle(recipe: Recipe, name: str, rng: np.random.Generator, cycle: floa
     while True:
         target = middle + share * rng.uniform(-1, 1, robot.dof) * half
         target = at + np.clip(target - at, -reach, reach)
-        left -= seconds(target - at)
-        if left < seconds(home - target) and targets:
+        remaining -= seconds(target - at)
+        if remaining < seconds(home - target) and targets:
             break
         targets.append(target)
         at = target

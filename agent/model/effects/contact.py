@@ -70,9 +70,9 @@ class Contact(Effect):
         dof = context.reference.robot.dof
         motions = list(zip(context.signals, context.residuals_as_given, context.sigmas, strict=True))
         windows = [window for link in range(dof) for part in motions for window in Windows.of(link, *part)]
-        found = [strongest([w for w in windows if w.link == link]) for link in range(dof)]
-        found = sorted(found, key=lambda pushes: -sum(push.gain for push in pushes))[:_LINKS]
-        sets = [pushes for pushes in (*found, strongest(windows)) if pushes]
+        by_link = [strongest([w for w in windows if w.link == link]) for link in range(dof)]
+        by_link = sorted(by_link, key=lambda pushes: -sum(push.gain for push in pushes))[:_LINKS]
+        sets = [pushes for pushes in (*by_link, strongest(windows)) if pushes]
         tried = [_settings(pushes[:count]) for pushes in sets for count in range(1, len(pushes) + 1)]
         tried += [_settings(pushes, [place_of(push, motions) for push in pushes]) for pushes in sets]
         return list({str(entry): entry for entry in tried}.values())
@@ -107,15 +107,15 @@ class Contact(Effect):
 
         If it does not act at the far end of the link, also its point [m] from there, in the link's frame.
         """
-        found: dict[str, float] = {}
+        numbers: dict[str, float] = {}
         for number in _numbers(settings):
             start = settings[f"start_{number}"]
             of_push = {"link": settings[f"link_{number}"]}
             of_push |= {f"force_{axis}": values[f"force_{axis}_{number}"] for axis in "xyz"}
             of_push |= {"log": settings[f"log_{number}"], "start": start, "end": start + settings[f"duration_{number}"]}
             of_push |= {f"at_{axis}": settings[f"{axis}_{number}"] for axis in "xyz" if f"{axis}_{number}" in settings}
-            found |= {key if number == 1 else f"{key}_{number}": value for key, value in of_push.items()}
-        return found
+            numbers |= {key if number == 1 else f"{key}_{number}": value for key, value in of_push.items()}
+        return numbers
 
 
 def _settings(pushes: Sequence[PushedWindow], places: Sequence[np.ndarray | None] = ()) -> dict[str, float]:
@@ -328,7 +328,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     taken: list[PushedWindow] = []
     best = [w.strongest for w in windows]
     spans = [(w.log, float(np.ptp(w.starts)) + w.duration) for w in windows if len(w.starts)]
-    lasting = sum(max(span for log, span in spans if log == one) for one in {log for log, _ in spans})
+    lasting = sum(max(span for log, span in spans if log == index) for index in {log for log, _ in spans})
     while True:
         candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
         if not candidates:
@@ -337,21 +337,21 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
         if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
             break
         last = of_length.fitted(push, taken)
-        if len(taken) >= _FEW and sum(one.duration for one in (*taken, last)) > _RARE * lasting:
+        if len(taken) >= _FEW and sum(p.duration for p in (*taken, last)) > _RARE * lasting:
             break  # many windows can follow any torque
         taken.append(last)
         # a strongest window that shares no time with the new push stays the strongest
-        best = [w.best(taken) if one and last.meets(one) else one for one, w in zip(best, windows, strict=True)]
+        best = [w.best(taken) if p and last.meets(p) else p for p, w in zip(best, windows, strict=True)]
     free = [(w, ~w.shared(taken)) for w in windows]
-    found = [(push, *_beside(push, taken, free)) for push in taken]
+    compared = [(push, *_beside(push, taken, free)) for push in taken]
     bare = [push for push in taken if any(w.bare(push) for w in windows)]
     alone = [
         push
-        for push, around, again in found
+        for push, around, again in compared
         if push.gain > max((_FROM_START if push in bare else _STANDS_OUT) * around, _ALONE * again)
     ]
     # next to a push that does not repeat, one that repeats counts too if nothing around it is similar
-    return [p for p, around, _ in found if p in alone or (alone and p.gain > _SHARP * around)]
+    return [p for p, around, _ in compared if p in alone or (alone and p.gain > _SHARP * around)]
 
 
 #: Windows, and which of them (K,) share no time with a push.

@@ -45,13 +45,13 @@ class Catalogue(Mapping[str, Effect]):
 
     @cached_property
     def _all(self) -> dict[str, Effect]:
-        found = dict(self._built_in)
+        effects = dict(self._built_in)
         for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
-            if point.name in found:
+            if point.name in effects:
                 _log.warning("effect %r (%s) is left out: the name is taken", point.name, point.value)
             elif (effect := _load(point)) is not None:
-                found[point.name] = effect
-        return found
+                effects[point.name] = effect
+        return effects
 
 
 def _load(point: EntryPoint) -> Effect | None:

@@ -56,14 +56,14 @@ class ThermalFriction(FrictionLevel):
         furthest, whole = max(each.values()), sum(each.values())
         first = min(motions, key=lambda s: (s.started, float(s.time[0]))).log_index
         start = max(float(s.time[-1]) for s in motions if s.log_index == first)
-        found = [
+        within_log = [
             *({"time_constant": fraction * longest} for fraction in _PARTS),
             *({"way": fraction * furthest} for fraction in _PARTS),
         ]
         if not longest < session < _LONGEST_SESSION:
-            return found
+            return within_log
         return [
-            *found,
+            *within_log,
             *({"time_constant": fraction * session, "session": 1.0} for fraction in _PARTS),
             *({"way": fraction * whole, "session": 1.0} for fraction in _PARTS),
             *(

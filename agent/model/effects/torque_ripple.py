@@ -71,14 +71,14 @@ class TorqueRipple(Effect):
         passing = np.searchsorted(speed, 2 * np.pi * cutoff / np.maximum(order, 1e-9))
         gain = np.where((order > max(_LOWEST, twice)) & (order < highest), power, 0)
         gain = gain / np.maximum(passing, 20)
-        found = []
+        peaks = []
         for _ in range(_PEAKS):
             best = int(np.argmax(gain))
             if gain[best] <= 0:
                 break
-            found += [{"order": float(order[best]), "harmonics": count} for count in (1.0, 2.0)]
+            peaks += [{"order": float(order[best]), "harmonics": count} for count in (1.0, 2.0)]
             gain[max(0, best - 8) : best + 9] = 0
-        return found
+        return peaks
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
         return harmonic_names(settings)

@@ -62,8 +62,8 @@ def leads(
     parts = driven_through_play(*moving, column, followed, step * k, step * c, half, twist, step, substeps, period)
     torque, second, twisted = (np.split(part, len(motions)) for part in parts)
     return [
-        (one.T[: len(motion.time)], two.T[: len(motion.time)], lead.T[: len(motion.time)])
-        for one, two, lead, motion in zip(torque, second, twisted, motions, strict=True)
+        (momentum_rate.T[: len(motion.time)], acceleration.T[: len(motion.time)], lead.T[: len(motion.time)])
+        for momentum_rate, acceleration, lead, motion in zip(torque, second, twisted, motions, strict=True)
     ]
 
 
@@ -178,7 +178,7 @@ def _inertia(context: FitContext, k: int) -> float:
 def _energy(context: FitContext) -> np.ndarray:
     """(n,) mean of (e / σ)² of what is left."""
     parts = zip(context.residuals, context.sigmas, strict=True)
-    return np.mean(np.concatenate([(left / sigma) ** 2 for left, sigma in parts]), axis=0)
+    return np.mean(np.concatenate([(residual / sigma) ** 2 for residual, sigma in parts]), axis=0)
 
 
 def _key(k: int, settings: Numbers) -> tuple[int, float, float, float]:

@@ -106,11 +106,11 @@ class WristCoupling(Effect):
             if "shaft" in settings:
                 rubbing = np.column_stack([rubbing, parts.axle(j) + ratio * parts.joint(i)])
             shares = coupling[j] + ratio * np.eye(len(coupling))[i]
-            found = {int(k): shares[k] * rubbing for k in np.flatnonzero(shares)}
+            columns = {int(k): shares[k] * rubbing for k in np.flatnonzero(shares)}
             if "turning" not in settings:
-                return found
+                return columns
             motor, none = self._made(parts, joints, {"ratio": ratio}), np.zeros_like(rubbing)
-            return {k: np.hstack([found.get(k, none), motor.get(k, none)]) for k in found.keys() | motor.keys()}
+            return {k: np.hstack([columns.get(k, none), motor.get(k, none)]) for k in columns.keys() | motor.keys()}
         alone, turned = (parts.friction(j, i, part, "free" in settings) for part in (0.0, ratio))
         width = len(self.names(settings))
         more, carried = np.zeros((2, len(alone), width))

@@ -93,7 +93,7 @@ def comparison_page(
         headline += (
             f" Predicted torque differs most on {last.torque.joints[worst]}: {100 * shares[worst]:.2f} % of nominal."
         )
-    others = next((one.between_machines for one in reversed(comparisons) if one.machines), "")
+    others = next((comparison.between_machines for comparison in reversed(comparisons) if comparison.machines), "")
     about = About(
         "How do these machines differ?" if others else "What changed between these runs, and is it more than chance?",
         (),
@@ -101,12 +101,15 @@ def comparison_page(
         [("robot", robot.name), ("runs", ", ".join(names)), ("motion", last.torque.motion)],
     )
     residuals = [
-        regime_table([one], f"residuals-{name}", f"{name}: RMSE by joint and regime.")
-        for name, one in zip(names, predictions, strict=True)
+        regime_table([prediction], f"residuals-{name}", f"{name}: RMSE by joint and regime.")
+        for name, prediction in zip(names, predictions, strict=True)
     ]
     one_motion = f"Error of each model on {last.torque.motion}, by joint and regime."
     sections = [
-        *(comparison_section(one, f"{one.after} against {one.before}", k) for k, one in enumerate(comparisons)),
+        *(
+            comparison_section(comparison, f"{comparison.after} against {comparison.before}", k)
+            for k, comparison in enumerate(comparisons)
+        ),
         Section("Friction curves", (), (compared_friction(models),)),
         Section("Residuals on one motion", (one_motion,), residuals),
         Section("Parameters side by side", ("With 95 % intervals.",), (_parameters(models),)),

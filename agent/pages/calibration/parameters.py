@@ -26,8 +26,8 @@ def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()
     shown = []
     for name, value, deviation, _, unit, meaning, mean, doubt, share in table[1:]:
         before = (_interval(mean, doubt), share) if priors else ()
-        found = ("-", "stood still") if value == "-" else (_interval(value, deviation), _known(value, deviation))
-        shown.append((name, found[0], unit, found[1], *before, meaning))
+        cells = ("-", "stood still") if value == "-" else (_interval(value, deviation), _known(value, deviation))
+        shown.append((name, cells[0], unit, cells[1], *before, meaning))
     before = ("prior ± 95 %", "from the data [%]") if priors else ()
     header = ("parameter", "value ± 95 %", "unit", "how well it is known", *before, "stands for")
     return Section("Parameters", (*notes, _PRIOR) if priors else notes, (Table("parameters", header, shown),))

@@ -36,12 +36,12 @@ def torque_plot(prediction: Prediction, error: np.ndarray, start: float = -np.in
         ]
         torque = (*parts, Series("measured", measured[:, k], colour=_INK))
         torque += (Series("predicted", predicted[:, k], "dashed", SERIES[1]),)
-        left = (
+        residual = (
             Series("95 % bounds", half[:, k], colour=SERIES[2], low=-half[:, k]),
             Series("left over", measured[:, k] - predicted[:, k], colour=SERIES[1]),
         )
         panels.append(Panel(joint, unit, torque, joint=joint))
-        panels.append(Panel(f"{joint}, measured less predicted", unit, left, joint=joint))
+        panels.append(Panel(f"{joint}, measured less predicted", unit, residual, joint=joint))
     return Plot("prediction", "", "time", tuple(panels), prediction.time[chosen], "s", columns=2)
 
 

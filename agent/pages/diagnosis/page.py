@@ -127,10 +127,10 @@ def _recorded(logs: Sequence[Log]) -> str:
 
 def _load_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, str, str]]:
     """The centre of mass of a load that was found, in the frame in which it is entered at the controller."""
-    for cause, found in zip(diagnosis.result["causes"], diagnosis.result["intervals"], strict=True):
+    for cause, intervals in zip(diagnosis.result["causes"], diagnosis.result["intervals"], strict=True):
         if CATALOGUE[cause["effect"]].numbers != "load":
             continue
-        effect = ModelEffect(cause["effect"], (), cause["parameters"], found)
+        effect = ModelEffect(cause["effect"], (), cause["parameters"], intervals)
         try:
             load = identified_load(replace(diagnosis.dataset.model, effects=(effect,)))
         except AgentError:

@@ -55,7 +55,7 @@ class Configuration:
 
     def __str__(self) -> str:
         flags = [name for name, on in (("S", self.shoulder), ("E", self.elbow), ("W", self.wrist)) if on]
-        return " ".join(flags + [f"T{k + 1}:{turn}" for k, turn in enumerate(self.turns)])
+        return " ".join(flags + [f"T{k + 1}:{count}" for k, count in enumerate(self.turns)])
 
 
 def parse_configuration(text: str) -> Configuration:

@@ -157,10 +157,12 @@ class JointPublisher:
             CURRENTS: self.currents(samples.torque),
         }
         rows = {channel: values.tolist() for channel, values in columns.items()}
-        for turn in turns:
-            stamp = round(turn.stamp * ((1 + CLOCK_DRIFT) / 1000)) + CLOCK_OFFSET
+        for publication in turns:
+            stamp = round(publication.stamp * ((1 + CLOCK_DRIFT) / 1000)) + CLOCK_OFFSET
             for channel in self._channels():
-                k, late = (turn.current, turn.late // 1000) if channel is CURRENTS else (turn.sample, 0)
+                k, late = (
+                    (publication.current, publication.late // 1000) if channel is CURRENTS else (publication.sample, 0)
+                )
                 self._send(f"{TOPIC}/{channel}", encode_joints(rows[channel][k], stamp + late), spare)
             self._published += 1
             if self._waits and self._published % _PACE == 0:
