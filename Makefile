@@ -55,6 +55,7 @@ $(ROS)/.made: $(VENV)/.dev
 		'ros-jazzy-rclpy[fastrtps]' ros-jazzy-sensor-msgs ros-jazzy-trajectory-msgs
 	$(BIN)/python -c 'import site; print("import site; site.addsitedir(%r)" % site.getsitepackages()[0])' \
 		> "$$($(ROS)/bin/python -c 'import site; print(site.getsitepackages()[0])')/zz_project.pth"
+	printf '#!/bin/sh\nexec "$${0%%/*}/python" -m agent "$$@"\n' > $(ROS)/bin/agent && chmod +x $(ROS)/bin/agent
 	@touch $@
 
 ros: $(ROS)/.made

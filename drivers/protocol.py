@@ -52,7 +52,8 @@ class Status:
 
     `mode` is `auto` or `teach`; `override` a fraction of one; `program` and `checksum` (SHA-256, hex, of the stored
     text) are empty where nothing is stored; `position` (n,) joint side; `emulator` says that no machine moves.
-    Where the wire does not tell the override, `override_known` is False and `override` is one.
+    Where the wire does not tell the override, `override_known` is False and `override` is one; where it does not tell
+    mode, drives, cell and emergency stop, `modes_known` is False and they are as motion needs them.
     Texts are cut, and control characters taken out of them, whatever the controller sent.
     """
 
@@ -68,6 +69,7 @@ class Status:
     position: np.ndarray
     emulator: bool = False
     override_known: bool = True
+    modes_known: bool = True
 
     def __post_init__(self) -> None:
         for name in ("mode", "program", "checksum"):

@@ -223,8 +223,8 @@ class Stopping:
             with self._lock:
                 if number == len(self._sent) and not (self.seen or self.over):
                     self._give_up(
-                        f"the stop was not confirmed ({error}); the link was closed, which stops the arm. Go and look "
-                        "at it"
+                        f"the stop was not confirmed ({error}); the link was closed, which stops an arm whose "
+                        "controller has a watchdog. Go and look at it"
                     )
 
     def _let_go(self, when: str) -> None:
@@ -235,13 +235,14 @@ class Stopping:
         if speed is None or not known:
             newest = f"the newest sample is {age:.1f} s old" if np.isfinite(age) else "no sample came"
             self._give_up(
-                f"{when} nothing shows what the arm does: {newest}. The link was closed, which stops it. Go and look"
+                f"{when} nothing shows what the arm does: {newest}. The link was closed, which stops an arm whose "
+                "controller has a watchdog. Go and look"
             )
             return
         self.disobeyed = True
         self._give_up(
             f"the arm does not obey: {when} it still moves, at {100 * speed:.0f} % of a joint's limit. The stop "
-            "was sent again and the link closed, so that the controller's watchdog stops the arm. PRESS THE "
+            "was sent again and the link closed, which stops an arm whose controller has a watchdog. PRESS THE "
             "EMERGENCY STOP NOW"
         )
 

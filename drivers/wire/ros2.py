@@ -144,6 +144,8 @@ class _Reader:
             name, at = _string(data, begin)
             known.append((begin, bytes(data[begin:at])))
             names.append(name)
+        if len({*names}) != count:
+            raise ValueError("it names a joint twice")
         self._known, self._begin, self._count = known, at, count
         self._order = np.array([names.index(one) for one in self._joints]) if {*self._joints} <= {*names} else None
 

@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import DriverError, MotionStopped, RefusedError
 from drivers.transports.ros2.brake import SILENCE, Orders
-from drivers.transports.ros2.following import BRAKE, Counter, Course, Speed, brake_point
+from drivers.transports.ros2.following import BRAKE, Believed, Counter, Course, Speed, brake_point
 from drivers.transports.ros2.motion import AHEAD, LATE, Ros2Motion
 from drivers.transports.ros2.program import LONGEST, GoalProgram, Points
 from drivers.wire.ros2 import JointSample, RosAddress, SetPoint
@@ -56,9 +56,9 @@ class Arm:
         self.by_goal, self.lag = by_goal, lag
         self.now, self.delay = BEGIN, 0.001
         self.controller = TrajectoryController(JOINTS, PERIOD, np.array(position, dtype=float))
-        self.position, self.velocity = np.array(position, dtype=float), np.zeros(2)
-        self.offset = np.zeros(2)
-        self.latest = None
+        self.position, self.speed = np.array(position, dtype=float), np.zeros(2)
+        self.offset = self._off = np.zeros(2)  # where it is asked to be, and where a joint of 5 rad/s is by now
+        self.believed, self.doubt = Believed(), "a joint jumps"
         self.sent, self.brakes, self.cancels = [], [], 0
         self.deaf = self.answers_nothing = False
         self.motion = None
@@ -75,20 +75,31 @@ class Arm:
         self._reader = self.motion.blocks()
         return self.motion
 
+    @property
+    def latest(self):
+        return self.believed.sample
+
+    @property
+    def velocity(self):
+        return self.believed.velocity
+
     def sample(self):
-        self.latest = JointSample(self.now, self.position + self.offset, self.velocity.copy(), np.ones(2))
+        self._off = self._off + np.clip(self.offset - self._off, -5 * PERIOD, 5 * PERIOD)
+        found = JointSample(self.now, self.position + self._off, self.speed.copy(), np.ones(2))
+        self.believed.take(found, self.now + self.delay)
+        return found
 
     def run(self, seconds, states=False, until_over=False, reading=True):
         for _ in range(round(seconds / PERIOD)):
             self.now += PERIOD
-            command, rate = self.controller.update(self.now, self.position, self.velocity)
+            command, rate = self.controller.update(self.now, self.position, self.speed)
             before = self.position
             self.position = command - self.lag * rate
-            self.velocity = (self.position - before) / PERIOD
-            self.sample()
+            self.speed = (self.position - before) / PERIOD
+            sample = self.sample()
             if states:
                 self.motion.state(SetPoint(self.now, command, rate, self.controller.scaling))
-            self.motion.sample(self.latest, self.now + self.delay)
+            self.motion.sample(sample, self.now + self.delay)
             self.motion.poll()
             while reading and self.motion.size > 4000:
                 self.kept.append(next(self._reader))
@@ -116,9 +127,10 @@ class Arm:
         answered(self.controller.take_goal(given, self.now) == "")
         return stamp
 
-    def brake(self, strength, expected):
+    def brake(self, strength, position, velocity):
         self.brakes.append(self.now)
-        seconds, place = brake_point(self.latest.position, self.velocity, strength)
+        self.stopped_from = position
+        seconds, place = brake_point(position, velocity, strength)
         if not self.deaf:
             self.controller.take(self._message(0.0, [(seconds, place, 0.0 * place)]), self.now)
         return seconds
@@ -179,18 +191,101 @@ def test_a_joint_off_its_trajectory_is_braked_before_the_controller_holds_it(by_
     assert len(arm.brakes) == 1
     with pytest.raises(MotionStopped, match=r"b was 0.0.. rad off its trajectory, 0.080 are allowed"):
         blocks_of(arm)
-    assert not arm.velocity.any()
-    assert arm.brakes[0] - (BEGIN + 1.5) <= 0.01
+    assert not arm.speed.any()
+    assert arm.brakes[0] - (BEGIN + 1.5) <= 0.02
 
 
-def test_positions_that_are_no_numbers_are_braked():
-    arm = Arm(True)
-    motion = arm.run_program(HEADER + goal())
-    arm.run(1.0)
-    arm.offset = np.array([np.nan, 0.0])
-    arm.run(PERIOD)
+@BOTH
+@pytest.mark.parametrize("position", [(np.nan, 0.0), (0.0, np.inf), (0.0, 0.0), (-1.5, 1.5)])
+def test_a_sample_that_this_arm_cannot_have_made_brakes_it_where_it_really_is(by_goal, position):
+    """As from a second node that publishes the same joints."""
+    arm = Arm(by_goal)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    for _ in range(10):
+        foreign = JointSample(arm.now + PERIOD / 2, np.array(position), np.zeros(2), np.ones(2))
+        arm.believed.take(foreign, arm.now)
+        arm.motion.sample(foreign, arm.now)
+        arm.run(PERIOD)
     assert len(arm.brakes) == 1
-    assert not motion.over
+    arm.run(2.0, until_over=True)
+    with pytest.raises(MotionStopped, match="a joint jumps"):
+        blocks_of(arm)
+    assert np.abs(arm.controller.command - arm.stopped_from).max() < 0.3
+    assert not arm.speed.any()
+
+
+def test_after_a_stall_the_newest_sample_says_where_the_arm_is_braked():
+    """A process that was stopped finds seconds of old samples, and an arm that a second process has braked."""
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.0)
+    waiting = []
+    for k in range(1000):
+        arm.now += PERIOD
+        arm.position = np.minimum(0.5 + 0.5 * PERIOD * k, 0.7) * np.ones(2)
+        waiting.append(JointSample(arm.now, arm.position, np.zeros(2), np.ones(2)))
+    for sample in waiting:
+        arm.believed.take(sample, arm.now)
+        arm.motion.sample(sample, arm.now)
+    assert not arm.brakes
+    arm.motion.poll()
+    assert len(arm.brakes) == 1
+    assert arm.stopped_from.tolist() == [0.7, 0.7]
+
+
+def test_an_arm_whose_stamps_say_nothing_is_braked_where_its_trajectory_has_it():
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    arm.believed.take(JointSample(0.0, arm.position, arm.speed, np.ones(2)), arm.now)
+    arm.motion.send_brake()
+    assert np.allclose(arm.stopped_from, arm.position, atol=0.01)
+
+
+def test_after_a_brake_an_arm_out_of_sight_is_cancelled_and_not_thrown_to_its_trajectory():
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    arm.motion.send_brake()
+    arm.now += 0.5
+    arm.motion.send_brake()
+    assert (len(arm.brakes), arm.cancels) == (1, 1)
+
+
+def test_two_causes_of_one_stop_brake_once_and_cancel_nothing():
+    """Driver and guard see the same."""
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
+    arm.run(1.5)
+    arm.motion.brake(MotionStopped("off"))
+    arm.run(0.02)
+    arm.motion.brake()
+    arm.run(0.1)
+    assert (len(arm.brakes), arm.cancels) == (1, 0)
+
+
+def test_a_velocity_in_degrees_does_not_enlarge_a_brake():
+    believed = Believed()
+    for k in range(100):
+        position = np.array([0.5 * k * PERIOD])
+        believed.take(JointSample(BEGIN + k * PERIOD, position, np.degrees([0.5]), position), k * PERIOD)
+    assert np.allclose(believed.velocity, 0.5, rtol=1e-3)
+
+
+def test_an_arm_may_be_anywhere_after_a_pause_and_its_clock_may_be_set():
+    believed = Believed()
+    nothing = np.zeros(1)
+    for stamp, position, now, believable in (
+        (10.0, 0.0, 0.0, True),
+        (10.002, 0.5, 0.002, False),
+        (10.2, 0.5, 0.2, True),
+        (3600.0, 0.51, 0.21, True),
+        (10.3, 0.8, 0.3, False),
+        (10.3, 0.8, 1.3, True),
+    ):
+        jump = believed.take(JointSample(stamp, np.array([position]), nothing, nothing), now)
+        assert (jump == 0.0) is believable
 
 
 @BOTH
@@ -198,7 +293,7 @@ def test_a_stop_brakes_by_one_point_and_cancels_once_the_arm_rests(by_goal):
     arm = Arm(by_goal)
     motion = arm.run_program(HEADER + goal(way=1.0, seconds=4.0, cycles=5))
     arm.run(1.5)
-    fast = arm.velocity.copy()
+    fast = arm.speed.copy()
     assert fast[0] > 0.3
     motion.stopping = True
     motion.brake()
@@ -208,7 +303,7 @@ def test_a_stop_brakes_by_one_point_and_cancels_once_the_arm_rests(by_goal):
     assert len(arm.sent) == 1
     blocks_of(arm)
     assert arm.now - arm.brakes[0] < 0.8
-    assert not arm.velocity.any()
+    assert not arm.speed.any()
 
 
 @BOTH
@@ -240,7 +335,7 @@ def test_a_controller_that_does_not_brake_is_cancelled():
     motion.brake()
     arm.run(0.55)
     assert arm.cancels == 0
-    arm.run(0.2)
+    arm.run(0.8)
     assert arm.cancels == 1
     arm.run(1.0, until_over=True)
     assert motion.over
@@ -250,8 +345,11 @@ def test_a_second_stop_brakes_again_and_cancels():
     arm = Arm(True)
     motion = arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
     arm.run(1.5)
+    arm.deaf = True
     motion.brake()
+    arm.run(0.3)
     motion.brake()
+    arm.run(PERIOD)
     assert (len(arm.brakes), arm.cancels) == (2, 1)
 
 
@@ -329,7 +427,7 @@ def test_no_goal_is_sent_while_samples_wait_to_be_read(by_goal):
     assert len(arm.sent) < 4
     with pytest.raises(DriverError, match="wait to be read, so the next cycle was not sent"):
         blocks_of(arm)
-    assert not arm.velocity.any()
+    assert not arm.speed.any()
 
 
 @BOTH

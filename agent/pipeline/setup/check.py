@@ -98,11 +98,14 @@ def _controller(recipe: Recipe) -> str:
         if isinstance(driver, AcceptsViaPoints):
             tool = {recipe.dialect.frame_names["tool"]: tool_frame(recipe.tool)}
             check_frames("of via-points", tool, driver, address)
-    state = [
+    modes = [
         f"mode {status.mode}",
         f"drives {'on' if status.drives_on else 'off'}",
-        f"override {100 * status.override:.0f} %" if status.override_known else "override not readable on this link",
         f"cell {'closed' if status.cell_closed else 'open'}",
+    ]
+    state = [
+        *(modes if status.modes_known else ["mode, drives and emergency stop not readable on this link"]),
+        f"override {100 * status.override:.0f} %" if status.override_known else "override not readable on this link",
         *(["emergency stop pressed"] if status.emergency_stop else []),
         *(f"alarm {alarm}" for alarm in status.alarms),
         *([identity.watch_only] if identity.watch_only else []),

@@ -8,6 +8,8 @@ point, and whatever runs is cancelled once it rests. Run as `python -m drivers.t
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import math
 import os
 import select
 import signal
@@ -21,17 +23,14 @@ from typing import IO, Any
 import numpy as np
 
 from drivers.errors import DriverError, ProtocolError
-from drivers.transports.ros2.following import Speed, brake_point
-from drivers.wire.ros2 import JOINT_STATES, JointSample, JointStateReader, RosAddress
+from drivers.transports.ros2.following import CANCEL_AFTER, Believed, brake_point
+from drivers.wire.ros2 import JOINT_STATES, JointStateReader, RosAddress
 
 #: Silence [s] of an agent that is armed after which it is taken for gone: a busy computer keeps a process waiting for
 #: half a second.
 SILENCE = 1.0
-#: Time [s] that a goal has to rest before what runs is cancelled, at most.
-CANCEL_AFTER = 0.6
 _TURN = 0.01  # s
 _READY = "ready"
-_STILL = 0.01  # rad/s
 
 
 class BrakeProcess:
@@ -44,7 +43,7 @@ class BrakeProcess:
 
     def __init__(self, address: str, joints: Sequence[str], name: str) -> None:
         self._lock = threading.Lock()
-        self._armed = False
+        self._armed = self._deaf = False
         self._process = subprocess.Popen(
             [sys.executable, "-m", "drivers.transports.ros2.brake", address, name, *joints],
             stdin=subprocess.PIPE,
@@ -53,6 +52,10 @@ class BrakeProcess:
             start_new_session=True,  # a Ctrl-C at the terminal is for the agent alone
             bufsize=0,
         )
+        assert self._process.stdin is not None
+        pipe = self._process.stdin.fileno()
+        os.set_blocking(pipe, False)  # one that is stopped must not stop the guard
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 4096)  # and is noticed after as many signs of life, 16 s
         self._ready = False
 
     def wait_ready(self, timeout: float) -> None:
@@ -81,8 +84,8 @@ class BrakeProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether it would brake."""
-        return self._ready and self._process.poll() is None
+        """Whether it would brake: it runs, and has taken what was said to it."""
+        return self._ready and not self._deaf and self._process.poll() is None
 
     def arm(self, strength: np.ndarray) -> None:
         """From now on it brakes where nothing is heard."""
@@ -116,8 +119,8 @@ class BrakeProcess:
     def _say(self, line: str) -> None:
         pipe = self._process.stdin
         with self._lock, contextlib.suppress(OSError, ValueError):  # one that has ended is seen by `alive`
-            if pipe is not None:
-                pipe.write(line.encode() + b"\n")
+            if pipe is not None and pipe.write(line.encode() + b"\n") is None:
+                self._deaf = True
 
 
 class Orders:
@@ -154,34 +157,31 @@ def main(arguments: Sequence[str]) -> int:
     target = RosAddress.of(address)
     ros = Ros(target.domain, name)
     publisher = ros.commands(target)
-    reader, speed = JointStateReader(joints), Speed()
-    latest: list[tuple[JointSample, np.ndarray]] = []
+    reader, believed = JointStateReader(joints), Believed()
 
     def take(data: bytes) -> None:
         with contextlib.suppress(ProtocolError):
             sample = reader.read(data)
-            if sample is not None:
-                latest[:] = [(sample, speed.of(sample))]
+            if sample is not None and np.isfinite(sample.position).all():
+                believed.take(sample, time.monotonic())
 
     ros.raw("sensor_msgs.msg", "JointState", target.name(JOINT_STATES), take, depth=2)
-    orders, told, braked = Orders(time.monotonic()), False, 0.0
+    orders, told, cancel_at = Orders(time.monotonic()), False, math.inf
     while True:
         ros.spin_once(_TURN if orders.strength is not None else 5 * _TURN)
-        if not told and latest and publisher.get_subscription_count() > 0:
+        if not told and believed.sample is not None and publisher.get_subscription_count() > 0:
             told = True
             print(_READY, flush=True)
         readable, _, _ = select.select([0], [], [], 0.0)
         if readable:
             orders.take(os.read(0, 65536), time.monotonic())
-        if not braked and orders.gone(time.monotonic()) and latest:
-            sample, velocity = latest[0]
+        if cancel_at == math.inf and orders.gone(time.monotonic()) and believed.sample is not None:
             assert orders.strength is not None
-            position = sample.position + velocity * min(max(time.time() - sample.stamp, 0.0), 0.1)
-            seconds, goal = brake_point(position, velocity, orders.strength)
+            position = believed.sample.position + believed.velocity * min(time.monotonic() - believed.at, 0.1)
+            seconds, goal = brake_point(position, believed.velocity, orders.strength)
             publisher.publish(trajectory_message(joints, 0.0, [(seconds, goal, 0.0 * goal)]))
-            braked = time.monotonic()
-        rests = bool(latest) and np.abs(latest[0][1]).max() <= _STILL
-        if braked and time.monotonic() - braked > CANCEL_AFTER and (rests or time.monotonic() - braked > 2.0):
+            cancel_at = time.monotonic() + seconds + CANCEL_AFTER
+        if time.monotonic() >= cancel_at:
             ros.cancel_all(target)
             ros.spin_for(0.5)
             return 0

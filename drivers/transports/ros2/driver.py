@@ -23,13 +23,17 @@ from drivers.transports.ros2.brake import BrakeProcess
 from drivers.transports.ros2.link import RosLink
 from drivers.transports.ros2.motion import Ros2Motion
 from drivers.transports.ros2.program import LONGEST, GoalProgram
-from drivers.wire.ros2 import MANAGER, JointSample, RosAddress, SetPoint, joints_of
+from drivers.wire.ros2 import DESCRIPTION, MANAGER, JointSample, RosAddress, SetPoint, joints_of
 
 #: What `effort` of joint_states may be said to be.
 EFFORTS = ("torque", "current", "none")
 _DISCOVERY = 30.0  # s: nodes that were killed are known for 20 s, and keep new ones waiting
-_ROBOT = re.compile(rb"<robot\b[^>]*?\bname\s*=\s*[\"']([^\"'<>]{1,128})[\"']")
+_ROBOT = re.compile(rb"<robot\b[^<>]*?\bname\s*=\s*[\"']([^\"'<>]{1,128})[\"']")
 _WATCHED = 100.0  # Hz; slower samples are too few for inertia
+_ALONE = (
+    "the second process, which brakes the arm when the agent is gone, has ended or does not answer, so nothing may "
+    "move; run the command again"
+)
 _BRAKES = 1.5  # s that closing waits for the arm to rest
 
 
@@ -109,9 +113,9 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     def _sampling(self, link: RosLink) -> float:
         """The period [s] of the samples: the manager's, where it says it and the stamps agree, else theirs."""
-        said = float(self._parameters.get("update_rate") or self._manager.get("update_rate") or 0.0)
+        said = float(self._manager.get("update_rate") or 0.0)  # a controller's own may be less than its broadcaster's
         found, _ = link.pace()
-        if said > 0.0 and found > 0.7 * said:
+        if 0.7 * said < found < 1.4 * said:
             return 1.0 / said
         return 1.0 / (round(found, -1) if found > 20.0 else found)
 
@@ -119,13 +123,15 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         """By the robot's description and the controller's parameters."""
         link = self._connected()
         named = _ROBOT.search(link.description)
-        digest = hashlib.sha256(link.description or repr(link.joints).encode()).hexdigest()
+        if named is None:
+            raise DriverError(f"{link.target.name(DESCRIPTION)} has no <robot name=…>, which says whose arm it is")
+        digest = hashlib.sha256(link.description).hexdigest()
         slow = f"joint_states come {1 / self._period:.0f} times a second, which tells nothing of inertia"
         watch_only = slow if 1 / self._period < _WATCHED - 0.5 else ""
         if self.effort == "none":
             watch_only = "the recipe says that joint_states have no effort, so nothing can be identified from them"
         return Identity(
-            robot=named[1].decode("utf-8", "replace") if named else self._target.controller,
+            robot=named[1].decode("utf-8", "replace"),
             serial=f"urdf-{digest[:12]}",
             controller="JointTrajectoryController",
             version=_distribution(),
@@ -154,6 +160,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             position=sample.position.astype(float),
             emulator=bool(self._parameters.get("emulated_by_calibration_agent")),
             override_known=link.scaling is not None,
+            modes_known=False,
         )
 
     def resting(self) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +206,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         preconditions.check_alone(link)
         preconditions.check_arm(link, program.joints, self.effort != "none")
         if self._brake is None or not self._brake.alive:
-            raise RefusedError("the second process, which brakes the arm when the agent is gone, has ended; try again")
+            raise RefusedError(_ALONE)
         torque = self.torque_per_ampere if self.effort == "current" else None
         recorded = self.effort != "none"
         motion = Ros2Motion(
@@ -261,10 +268,14 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             self._motion.state(state)
 
     def _on_turn(self) -> None:
-        if self._motion is not None and not self._motion.over:
-            self._motion.poll()
-            if self._brake is not None:
-                self._brake.beat()
+        motion, brake = self._motion, self._brake
+        if motion is None or motion.over:
+            return
+        if brake is not None:
+            brake.beat()
+            if not brake.alive:
+                motion.brake(DriverError(_ALONE))
+        motion.poll()
 
     def _on_over(self) -> None:
         if self._link is not None:
@@ -275,8 +286,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     def _on_failure(self, error: DriverError) -> None:
         motion, link = self._motion, self._link
         if link is not None and motion is not None and not motion.over:
-            link.brake(motion.strength, None if motion.course is None else motion.course.at)
-            link.linger()
+            link.linger(motion.send_brake())
             link.cancel()
         super()._on_failure(error)
 

@@ -9,8 +9,13 @@ from drivers.wire.ros2 import JointSample
 
 #: Shortest and longest time [s] in which a brake brings the arm to rest.
 BRAKE, LONGEST_BRAKE = 0.3, 1.0
+#: Time [s] after the end of a brake at which whatever runs is cancelled, whether the arm rests or not.
+CANCEL_AFTER = 0.3
 #: Share of a number's error by which the origin of numbers follows the stamps: two clocks drift, jitter does not.
 _REFIT = 0.01
+#: What a joint moves at most between two of its samples [rad/s, m/s], and what rounding and late stamps add [rad, m].
+_FASTEST, _ROUNDING = 10.0, 0.02
+_PAUSE = 1.0  # s, after which an arm may be anywhere
 _EXPONENTS = np.arange(6)
 #: Of u³, u⁴ and u⁵ at 1: value, slope and bend.
 _INVERSE = np.linalg.inv([[1, 1, 1], [3, 4, 5], [6, 12, 20]])
@@ -67,8 +72,33 @@ def brake_point(position: np.ndarray, velocity: np.ndarray, strength: np.ndarray
     return seconds, position + velocity * seconds / 2
 
 
+class Believed:
+    """The newest sample that one arm can have made, and its velocity (n,).
+
+    A brake that is computed from another arm's sample, or from no numbers, would throw the arm there.
+    """
+
+    def __init__(self) -> None:
+        self.sample: JointSample | None = None
+        self.velocity = np.zeros(0)
+        self.at = -np.inf  # when it came [s, monotonic]
+        self._speed = Speed()
+
+    def take(self, sample: JointSample, now: float) -> float:
+        """How far [rad, m] a joint jumped to this sample that came at `now` [s]; 0 where it is believed, as is whatever
+        comes after a pause."""
+        before = self.sample
+        if before is not None and now - self.at <= _PAUSE:
+            passed, jump = sample.stamp - before.stamp, np.abs(sample.position - before.position)
+            if not np.all(jump <= _ROUNDING + (_FASTEST * passed if 0.0 < passed <= _PAUSE else 0.0)):
+                return float(np.max(jump))
+        self.sample, self.velocity, self.at = sample, self._speed.of(sample), now
+        return 0.0
+
+
 class Speed:
-    """Velocity (n,) from positions, where the controller has none; by two samples at least `span` [s] apart."""
+    """Velocity (n,) from positions, by two samples at least `span` [s] apart. What a controller reports as velocity may
+    be in degrees, and a brake would multiply that."""
 
     def __init__(self, span: float = 0.02) -> None:
         self._span = span
@@ -77,8 +107,6 @@ class Speed:
 
     def of(self, sample: JointSample) -> np.ndarray:
         """At a sample; zero until it is known."""
-        if np.isfinite(sample.velocity).all():
-            return sample.velocity
         if self._was is None or not 0.0 <= sample.stamp - self._was[0] <= 1.0:
             self._was, self.value = (sample.stamp, sample.position), 0.0 * sample.position
         elif sample.stamp - self._was[0] >= self._span:

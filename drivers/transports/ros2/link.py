@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import secrets
 import time
@@ -14,7 +15,7 @@ import numpy as np
 
 from drivers.errors import DriverError, ProtocolError
 from drivers.transports.base.link import LinkThread
-from drivers.transports.ros2.following import BRAKE, Speed, brake_point
+from drivers.transports.ros2.following import CANCEL_AFTER, Believed, brake_point
 from drivers.transports.ros2.ros import Ros, set_time, trajectory_message, typed
 from drivers.wire.ros2 import (
     DESCRIPTION,
@@ -29,6 +30,8 @@ from drivers.wire.ros2 import (
 _TURN = 0.004  # s: as long as a sample waits, at most, on an idle computer
 _STALL = 0.05  # s of one turn that count as silence
 _URDF = 16 * 1024 * 1024  # bytes
+_DRIFT = 0.3  # of the robot's clock from ours: two of them drift by less than a thousandth, a simulator's by far more
+_SEEN = 20_000  # samples of which ages are kept, at most
 #: Ages and rate are known over this time [s].
 OBSERVED = 2.0
 
@@ -39,7 +42,7 @@ class RosLink(LinkThread):
     Args:
         target: address of the controller, parsed.
         timeout: how long [s] to wait for what has to be there.
-        on_sample: is given each sample and the time of this computer [s] when it came, in the thread.
+        on_sample: is given each sample and when it came [s, monotonic], in the thread.
         on_state: is given each set-point, in the thread.
         on_turn: comes often, in the thread.
         on_failure: comes once, as the last call.
@@ -58,20 +61,42 @@ class RosLink(LinkThread):
         self.target, self._timeout = target, timeout
         self.name = f"calibration_agent_{os.getpid()}_{secrets.token_hex(3)}"
         self._on_sample, self._on_state, self._on_turn = on_sample, on_state, on_turn
-        self.latest: JointSample | None = None
-        self.velocity = np.zeros(0)  # (n,) of the latest sample
-        self.received = 0.0  # when it came
+        self.believed = Believed()
+        self._doubted = -math.inf, 0.0  # when a sample came last that is not believed, and its jump
         self.scaling: float | None = None  # of the newest set-point
         self.description = b""
         self.joints: tuple[str, ...] = ()
-        self._seen: deque[tuple[float, float]] = deque()  # stamps and ages of the last seconds
+        #: Stamps and ages of the last seconds; the age is by our own clock that nobody sets, so only its changes count.
+        self._seen: deque[tuple[float, float]] = deque(maxlen=_SEEN)
         self._fault: DriverError | None = None
-        self._speed = Speed()
         self._silence, self._fresh = 0.0, False
         self._ros = Ros(target.domain, self.name)
         self._commands = self._ros.commands(target)
         self._goals: Any = None
         self._thread.start()
+
+    @property
+    def latest(self) -> JointSample | None:
+        """The newest sample that this arm can have made."""
+        return self.believed.sample
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """(n,) then, from positions."""
+        return self.believed.velocity
+
+    @property
+    def doubt(self) -> str:
+        """Why a sample of the last seconds is not believed; empty where all are."""
+        (when, jump), topic = self._doubted, self.target.name(JOINT_STATES)
+        if time.monotonic() - when > OBSERVED:
+            return ""
+        if not math.isfinite(jump):
+            return f"{topic} has positions that are no numbers; look at the robot's driver"
+        return (
+            f"a joint jumps by {jump:.3g} rad from one sample of {topic} to the next: does a second node publish it "
+            f"(see `ros2 topic info -v {topic}`), or does it wrap at ±π?"
+        )
 
     # Of the controller, in the caller's thread
 
@@ -133,18 +158,29 @@ class RosLink(LinkThread):
             )
 
     def describe(self) -> None:
-        """Take the robot's description, where somebody publishes it."""
+        """Take the robot's description.
+
+        Raises:
+            DriverError: nobody publishes it, or it is too long.
+        """
         from rclpy.qos import DurabilityPolicy, QoSProfile
 
         kind = typed("std_msgs.msg", "String")
 
         def take(message: Any) -> None:
-            data = message.data.encode()
-            self.description = data if len(data) <= _URDF else b""
+            self.description = message.data.encode()[: _URDF + 1]
 
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._ros.node.create_subscription(kind, self.target.name(DESCRIPTION), take, latched)
-        self.wait(lambda: bool(self.description), min(self._timeout, 3.0))
+        topic = self.target.name(DESCRIPTION)
+        self._ros.node.create_subscription(kind, topic, take, latched)
+        if not self.wait(lambda: bool(self.description), self._timeout):
+            self.check()
+            raise DriverError(
+                f"nobody publishes {topic} within {self._timeout:g} s, so nothing says which robot this is: start "
+                "robot_state_publisher in the controller's namespace"
+            )
+        if len(self.description) > _URDF:
+            raise DriverError(f"{topic} is longer than {_URDF >> 20} MiB: it is no description of one robot")
 
     def goals(self) -> bool:
         """Whether the controller takes goals from here: with tolerances, and a result."""
@@ -157,13 +193,28 @@ class RosLink(LinkThread):
 
     def pace(self) -> tuple[float, float]:
         """Samples a second by the stamps of the last seconds, and the 99th percentile of their age beyond the least."""
-        began = time.time()
-        there = self.wait(lambda: self.received > began and self._span() >= 0.9 * OBSERVED, OBSERVED + self.watchdog)
+        began = time.monotonic()
+        there = self.wait(lambda: self.believed.at > began and self._span() >= 0.9 * OBSERVED, OBSERVED + self.watchdog)
         self.check()
         with self._changed:
             seen = np.array(self._seen)
         if not there:
-            raise DriverError(f"{self.target.name(JOINT_STATES)} has fallen silent, or its clock stands still")
+            topic = self.target.name(JOINT_STATES)
+            if not self.believed.at > began:
+                raise DriverError(f"{topic} has fallen silent; is the joint_state_broadcaster still active?")
+            raise DriverError(
+                f"the stamps of {topic} stand still or jump, the last is {seen[-1, 0]:.3f} s, so nobody knows how old "
+                "its samples are: the node that publishes it has to set header.stamp by one running clock"
+            )
+        if self.doubt:
+            raise DriverError(self.doubt)
+        half = seen[:, 0] < np.mean(seen[[0, -1], 0])
+        drift = (seen[~half, 1].min() - seen[half, 1].min()) / (np.ptp(seen[:, 0]) / 2)
+        if abs(drift) > _DRIFT:
+            raise DriverError(
+                f"the clock of {self.target.name(JOINT_STATES)} {'loses' if drift > 0 else 'gains'} {abs(drift):.1f} s "
+                "in each of its seconds; if this is simulated time, let the simulator run in real time"
+            )
         ages = seen[:, 1] - seen[:, 1].min()
         return (len(seen) - 1) / float(np.ptp(seen[:, 0])), float(np.quantile(ages, 0.99))
 
@@ -179,7 +230,7 @@ class RosLink(LinkThread):
     def now(self) -> float:
         """Time [s] by the controller's clock, as the freshest sample of the last seconds has it."""
         with self._changed:
-            return time.time() - min(age for _, age in self._seen)
+            return time.monotonic() - min(age for _, age in self._seen)
 
     def send(self, ahead: float, points: Sequence[Sequence[Any]]) -> float:
         """Send a trajectory by topic, once: points (time [s], then rows (n,) of position and rates); returns its stamp.
@@ -228,22 +279,8 @@ class RosLink(LinkThread):
         self._goals.send_goal_async(goal).add_done_callback(on_answer)
         return stamp
 
-    def brake(self, strength: np.ndarray, expected: Callable[[float], tuple[np.ndarray, np.ndarray]] | None) -> float:
-        """Send the one point that brings the arm to rest, from what it did last; how long that takes [s]. Never raises.
-
-        `expected` (stamp) is the plan's state, for where samples are old.
-        """
-        sample = self.latest
-        if sample is None:
-            return 0.0
-        passed = max(time.time() - self.received, 0.0)
-        if passed > 0.1 and expected is not None:
-            position, velocity = expected(sample.stamp + passed)
-        else:
-            position, velocity = sample.position + self.velocity * min(passed, 0.1), self.velocity
-        if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
-            self.cancel()
-            return 0.0
+    def brake(self, strength: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> float:
+        """Send the one point that brings the arm to rest from this state (n,); how long it takes [s]. Never raises."""
         seconds, goal = brake_point(position, velocity, strength)
         try:
             self._commands.publish(trajectory_message(self.joints, 0.0, [(seconds, goal, 0.0 * goal)]))
@@ -258,10 +295,10 @@ class RosLink(LinkThread):
         except Exception:  # a context that has ended
             return
 
-    def linger(self) -> None:
-        """Let a brake act before what runs is cancelled (in the thread, which has ended)."""
+    def linger(self, seconds: float) -> None:
+        """Let a brake act that takes `seconds`, before what runs is cancelled (in the thread, which has ended)."""
         with contextlib.suppress(Exception):  # whatever it is, the cancel follows
-            self._ros.spin_for(BRAKE + 0.3)
+            self._ros.spin_for(seconds + CANCEL_AFTER)
 
     def close(self) -> None:
         """End the link and its thread; never raises."""
@@ -281,7 +318,7 @@ class RosLink(LinkThread):
         )
 
     def _take(self, reader: JointStateReader, data: bytes) -> None:
-        now = time.time()
+        now = time.monotonic()
         try:
             sample = reader.read(data)
         except ProtocolError as error:
@@ -289,16 +326,15 @@ class RosLink(LinkThread):
             return
         if sample is None:
             return
-        before, self.latest = self.latest, sample
-        self.velocity, self.received, self._fresh = (
-            self._speed.of(sample),
-            now,
-            before is None or sample.stamp > before.stamp,
-        )
-        with self._changed:
-            self._seen.append((sample.stamp, now - sample.stamp))
-            while not 0.0 <= sample.stamp - self._seen[0][0] <= OBSERVED:
-                self._seen.popleft()
+        before = self.latest
+        if jump := self.believed.take(sample, now):
+            self._doubted = now, jump
+        else:
+            self._fresh = self._fresh or before is None or sample.stamp > before.stamp
+            with self._changed:
+                self._seen.append((sample.stamp, now - sample.stamp))
+                while not 0.0 <= sample.stamp - self._seen[0][0] <= OBSERVED:
+                    self._seen.popleft()
         self._on_sample(sample, now)
 
     def _take_state(self, reader: SetPointReader, data: bytes) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from drivers.errors import DriverError, MotionStopped, RefusedError
 from drivers.protocol import SampleBlock
 from drivers.transports.base.samples import SampleStream
-from drivers.transports.ros2.following import Counter, Course
+from drivers.transports.ros2.following import CANCEL_AFTER, Counter, Course
 from drivers.transports.ros2.link import RosLink
 from drivers.transports.ros2.program import GoalProgram, Step
 from drivers.wire.reasons import EndReason
@@ -31,8 +31,8 @@ LATE = 0.2
 START = 0.02
 #: Samples waiting to be read [s] beyond which no further goal is sent: nobody watches.
 UNREAD = 2.0
-#: Time after a brake [s] at which whatever runs is cancelled, whether the arm rests or not.
-CANCEL_AFTER = 0.6
+_OLD = 0.1  # s: what a sample says of an arm that moves on
+_TWICE = 0.2  # s: requests to stop that are nearer than this have one cause
 _ANSWER, _SETTLES = 2.0, 3.0  # s: of a goal's answer, and after its last point
 _SPAN, _STILL = 0.1, 0.003  # s, and rad/s over it: an arm that stands
 _LEFT = 0.003  # rad, m between a stationary arm and its trajectory
@@ -87,6 +87,9 @@ class Ros2Motion(SampleStream):
         self._accepted: bool | None = None
         self._result: tuple[int, str] | None = None
         self._braked: float | None = None  # monotonic
+        self._brake_due = self._brake_sent = False
+        self._offset = 0.0  # s, from our clock to the controller's
+        self._cancel_at = np.inf  # monotonic
         self._cancelled = False
         self._why: DriverError | None = None
         self._recent: deque[tuple[float, np.ndarray]] = deque()
@@ -112,23 +115,46 @@ class Ros2Motion(SampleStream):
         return self._accepted is True or not self._by_goal or self.over
 
     def brake(self, why: DriverError | None = None) -> None:
-        """Bring the arm to rest by one point; once more, and by cancelling, where it was asked for before."""
+        """Bring the arm to rest by one point; once more, and by cancelling, where that was asked for before.
+
+        The thread of the link sends it at the end of its turn: the newest of the samples that wait says where the arm
+        is. One from before a stall would send the arm back there.
+        """
         with self._lock:
-            again, self._why = self._braked is not None, self._why or why
+            self._why, now = self._why or why, self._clock()
             if self.over:
                 return
-            self._phase, self._braked = "braking", self._braked or self._clock()
-            latest = self._link.latest
-            seconds = self._link.brake(self.strength, None if self.course is None else self.course.at)
-            self._since = (0.0 if latest is None else latest.stamp) + seconds
+            again = self._braked is not None and now - self._braked > _TWICE
+            if self._braked is None or again:
+                self._phase, self._since, self._brake_due = "braking", np.inf, True
+            self._braked = self._braked or now
             if again:
-                self._cancel()
+                self._cancel_at = now
+
+    def send_brake(self) -> float:
+        """Send the point that brakes the arm from where it is now; how long that takes [s]. Never raises.
+
+        Where even the newest sample is old, by the controller's clock when the goal was sent, the arm is where its
+        trajectory has it, until a brake was sent.
+        """
+        sample, velocity, now = self._link.latest, self._link.velocity, self._clock() + self._offset
+        if sample is None:
+            return 0.0
+        if now - sample.stamp <= _OLD:
+            state = sample.position + velocity * max(now - sample.stamp, 0.0), velocity
+        elif self.course is not None and not self._brake_sent:
+            state = self.course.at(now)
+        else:  # it would be thrown back to where it was
+            self._cancel()
+            return 0.0
+        self._brake_sent = True
+        return self._link.brake(self.strength, *state)
 
     def finish(self, error: DriverError | None) -> None:
         """No more samples; `error` is raised once those that came are read."""
         was = self.over
         self._hand_out(flush=True)
-        super().finish(error)
+        super().finish(self._why or error)
         if not was:
             self._phase = "over"
             self._on_over()
@@ -136,15 +162,17 @@ class Ros2Motion(SampleStream):
     # In the thread of the link
 
     def sample(self, sample: JointSample, now: float) -> None:
-        """The next sample, at the time [s] of this computer."""
+        """The next sample, and when it came [s, monotonic]."""
         if self.over or self._phase == "idle":
-            return
+            return None
+        if sample is not self._link.latest:  # another arm's, or none
+            return self.brake(MotionStopped(self._link.doubt)) if self._braked is None else None
         number = self.counter.number(sample.stamp)
         if number is None:
-            return
+            return None
         self._keep(number, sample)
         with self._lock:
-            self._watch(sample, now)
+            return self._watch(sample, now)
 
     def state(self, state: SetPoint) -> None:
         """The next set-point."""
@@ -166,15 +194,20 @@ class Ros2Motion(SampleStream):
             return
         with self._lock:
             now = self._clock()
-            if self._braked is not None and now - self._braked > CANCEL_AFTER:
-                self._cancel()
-            elif self._phase == "moving" and self._by_goal and self._accepted is None and now - self._sent_at > _ANSWER:
+            if self._phase == "moving" and self._by_goal and self._accepted is None and now - self._sent_at > _ANSWER:
                 self.brake(
                     DriverError(
                         f"{self._link.target.action} did not answer a goal within {_ANSWER:g} s; whatever runs was "
                         "braked and cancelled: look at the arm and the controller"
                     )
                 )
+                self._cancel_at = now
+            if self._brake_due:
+                self._brake_due, latest = False, self._link.latest
+                seconds = self.send_brake()
+                self._since = (0.0 if latest is None else latest.stamp) + seconds
+                self._cancel_at = min(self._cancel_at, now + seconds + CANCEL_AFTER)
+            if now >= self._cancel_at:
                 self._cancel()
 
     def _watch(self, sample: JointSample, now: float) -> None:
@@ -251,6 +284,7 @@ class Ros2Motion(SampleStream):
             "for the cause, then run the command again"
         )
         self._phase, self._braked = "braking", self._clock()
+        self._cancel_at = self._braked + CANCEL_AFTER
 
     def _go_on(self, sample: JointSample) -> None:
         """Send the next goal, where there is one and somebody watches."""
@@ -294,6 +328,7 @@ class Ros2Motion(SampleStream):
             stamp = self._link.send_goal(AHEAD, rows, tolerance, step.goal_time, answered, ended)
         else:
             stamp = self._link.send(AHEAD, rows)
+        self._offset = stamp - AHEAD - self._clock()
         self.course = Course(stamp, sample.position, points)
         if step.points is not None:
             self.cycle_starts.append(stamp + float(points.times[0]))

@@ -56,7 +56,7 @@ def check_active(link: RosLink) -> None:
     target = link.target
     listed = link.call("controller_manager_msgs.srv", "ListControllers", target.name(MANAGER, "list_controllers"))
     for one in [] if listed is None else listed.controller:
-        claims = any(joint in interface for interface in one.claimed_interfaces for joint in link.joints)
+        claims = {*link.joints} & {interface.split("/")[-2] for interface in one.claimed_interfaces if "/" in interface}
         if one.name == target.controller and one.state != "active":
             raise RefusedError(f"{target.node} is {one.state}; activate it: ros2 control switch_controllers")
         if one.name != target.controller and one.state == "active" and claims:
@@ -106,7 +106,8 @@ def check_arm(link: RosLink, joints: Sequence[str], recorded: bool) -> None:
             "joint_states has no effort, so nothing can be identified: say `effort: none` in the recipe's controller "
             "to record the motion alone"
         )
-    if np.abs(link.velocity).max() > _STILL:
+    speed = sample.velocity if np.isfinite(sample.velocity).all() else link.velocity
+    if np.abs(speed).max() > _STILL:
         raise RefusedError("the arm moves already; wait until it rests")
     scaling = link.scaling
     if scaling is not None and not abs(scaling - 1.0) <= 1e-6:
