@@ -57,6 +57,7 @@ class Arm:
         self.now, self.delay = BEGIN, 0.001
         self.controller = TrajectoryController(JOINTS, PERIOD, np.array(position, dtype=float))
         self.position, self.speed = np.array(position, dtype=float), np.zeros(2)
+        self.set_by = 0.0  # s, of its clock
         self.offset = self._off = np.zeros(2)  # where it is asked to be, and where a joint of 5 rad/s is by now
         self.believed, self.doubt = Believed(), "a joint jumps"
         self.sent, self.brakes, self.cancels = [], [], 0
@@ -107,6 +108,9 @@ class Arm:
                 return
 
     # As the driver sees it
+
+    def clock(self):
+        return self.now + self.set_by
 
     def send(self, ahead, points):
         stamp = self.now + ahead
@@ -234,12 +238,18 @@ def test_after_a_stall_the_newest_sample_says_where_the_arm_is_braked():
     assert arm.stopped_from.tolist() == [0.7, 0.7]
 
 
-def test_an_arm_whose_stamps_say_nothing_is_braked_where_its_trajectory_has_it():
+@pytest.mark.parametrize("stamp", [0.0, BEGIN - 3600.0, BEGIN + 3600.0])
+def test_a_clock_that_is_set_brakes_the_arm_where_it_is(stamp):
     arm = Arm(True)
     arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
     arm.run(1.5)
-    arm.believed.take(JointSample(0.0, arm.position, arm.speed, np.ones(2)), arm.now)
-    arm.motion.send_brake()
+    for _ in range(5):
+        sample = JointSample(stamp, arm.position, arm.speed, np.ones(2))
+        arm.believed.take(sample, arm.now)
+        arm.set_by = stamp - arm.now
+        arm.motion.sample(sample, arm.now)
+        arm.motion.poll()
+    assert len(arm.brakes) == 1
     assert np.allclose(arm.stopped_from, arm.position, atol=0.01)
 
 

@@ -30,6 +30,7 @@ from drivers.wire.ros2 import JOINT_STATES, JointStateReader, RosAddress
 #: half a second.
 SILENCE = 1.0
 _TURN = 0.01  # s
+_OLD = 0.3  # s: a sample that still says where the arm is
 _READY = "ready"
 
 
@@ -177,10 +178,12 @@ def main(arguments: Sequence[str]) -> int:
             orders.take(os.read(0, 65536), time.monotonic())
         if cancel_at == math.inf and orders.gone(time.monotonic()) and believed.sample is not None:
             assert orders.strength is not None
-            position = believed.sample.position + believed.velocity * min(time.monotonic() - believed.at, 0.1)
-            seconds, goal = brake_point(position, believed.velocity, orders.strength)
-            publisher.publish(trajectory_message(joints, 0.0, [(seconds, goal, 0.0 * goal)]))
-            cancel_at = time.monotonic() + seconds + CANCEL_AFTER
+            cancel_at, old = time.monotonic(), time.monotonic() - believed.at
+            if old <= _OLD:  # or the arm would be thrown back to where it was
+                position = believed.sample.position + believed.velocity * old
+                seconds, goal = brake_point(position, believed.velocity, orders.strength)
+                publisher.publish(trajectory_message(joints, 0.0, [(seconds, goal, 0.0 * goal)]))
+                cancel_at += seconds + CANCEL_AFTER
         if time.monotonic() >= cancel_at:
             ros.cancel_all(target)
             ros.spin_for(0.5)

@@ -286,7 +286,11 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     def _on_failure(self, error: DriverError) -> None:
         motion, link = self._motion, self._link
         if link is not None and motion is not None and not motion.over:
-            link.linger(motion.send_brake())
+            motion.brake(error)
+            seconds = motion.send_brake()
+            if self._brake is not None:
+                self._brake.disarm()  # it sees no more than this process, and would brake once more
+            link.linger(seconds)
             link.cancel()
         super()._on_failure(error)
 

@@ -14,7 +14,7 @@ CANCEL_AFTER = 0.3
 #: Share of a number's error by which the origin of numbers follows the stamps: two clocks drift, jitter does not.
 _REFIT = 0.01
 #: What a joint moves at most between two of its samples [rad/s, m/s], and what rounding and late stamps add [rad, m].
-_FASTEST, _ROUNDING = 10.0, 0.02
+_FASTEST, _ROUNDING = 10.0, 0.03
 _PAUSE = 1.0  # s, after which an arm may be anywhere
 _EXPONENTS = np.arange(6)
 #: Of u³, u⁴ and u⁵ at 1: value, slope and bend.
@@ -90,7 +90,7 @@ class Believed:
         before = self.sample
         if before is not None and now - self.at <= _PAUSE:
             passed, jump = sample.stamp - before.stamp, np.abs(sample.position - before.position)
-            if not np.all(jump <= _ROUNDING + (_FASTEST * passed if 0.0 < passed <= _PAUSE else 0.0)):
+            if not np.all(jump <= _ROUNDING + _FASTEST * max(0.0, min(passed, now - self.at))):
                 return float(np.max(jump))
         self.sample, self.velocity, self.at = sample, self._speed.of(sample), now
         return 0.0

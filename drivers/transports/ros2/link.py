@@ -227,7 +227,7 @@ class RosLink(LinkThread):
 
     # To the controller, from any thread
 
-    def now(self) -> float:
+    def clock(self) -> float:
         """Time [s] by the controller's clock, as the freshest sample of the last seconds has it."""
         with self._changed:
             return time.monotonic() - min(age for _, age in self._seen)
@@ -239,7 +239,7 @@ class RosLink(LinkThread):
         """
         self.check()
         message = trajectory_message(self.joints, 0.0, points)
-        stamp = self.now() + ahead
+        stamp = self.clock() + ahead
         set_time(message.header.stamp, stamp)
         self._commands.publish(message)
         return stamp
@@ -274,7 +274,7 @@ class RosLink(LinkThread):
             if handle.accepted:
                 handle.get_result_async().add_done_callback(on_result)
 
-        stamp = self.now() + ahead
+        stamp = self.clock() + ahead
         set_time(goal.trajectory.header.stamp, stamp)
         self._goals.send_goal_async(goal).add_done_callback(on_answer)
         return stamp

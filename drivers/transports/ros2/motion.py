@@ -18,7 +18,7 @@ from drivers.transports.ros2.following import CANCEL_AFTER, Counter, Course
 from drivers.transports.ros2.link import RosLink
 from drivers.transports.ros2.program import GoalProgram, Step
 from drivers.wire.reasons import EndReason
-from drivers.wire.ros2 import JointSample, SetPoint
+from drivers.wire.ros2 import JOINT_STATES, JointSample, SetPoint
 
 #: Time [s] from the controller's now to the stamp of a trajectory: with the lead to its first point it may be half a
 #: second on its way before the controller would jump.
@@ -31,6 +31,7 @@ LATE = 0.2
 START = 0.02
 #: Samples waiting to be read [s] beyond which no further goal is sent: nobody watches.
 UNREAD = 2.0
+_STEP = 1.0  # s between two samples that no clock makes which is left alone
 _OLD = 0.1  # s: what a sample says of an arm that moves on
 _TWICE = 0.2  # s: requests to stop that are nearer than this have one cause
 _ANSWER, _SETTLES = 2.0, 3.0  # s: of a goal's answer, and after its last point
@@ -88,7 +89,6 @@ class Ros2Motion(SampleStream):
         self._result: tuple[int, str] | None = None
         self._braked: float | None = None  # monotonic
         self._brake_due = self._brake_sent = False
-        self._offset = 0.0  # s, from our clock to the controller's
         self._cancel_at = np.inf  # monotonic
         self._cancelled = False
         self._why: DriverError | None = None
@@ -134,10 +134,9 @@ class Ros2Motion(SampleStream):
     def send_brake(self) -> float:
         """Send the point that brakes the arm from where it is now; how long that takes [s]. Never raises.
 
-        Where even the newest sample is old, by the controller's clock when the goal was sent, the arm is where its
-        trajectory has it, until a brake was sent.
+        Where even the newest sample is old, the arm is where its trajectory has it, until a brake was sent.
         """
-        sample, velocity, now = self._link.latest, self._link.velocity, self._clock() + self._offset
+        sample, velocity, now = self._link.latest, self._link.velocity, self._link.clock()
         if sample is None:
             return 0.0
         if now - sample.stamp <= _OLD:
@@ -167,10 +166,15 @@ class Ros2Motion(SampleStream):
             return None
         if sample is not self._link.latest:  # another arm's, or none
             return self.brake(MotionStopped(self._link.doubt)) if self._braked is None else None
+        step = sample.stamp - self._recent[-1][0] if self._recent else 0.0
+        if abs(step) > _STEP:
+            self._recent.clear()
+            self.brake(DriverError(f"the clock of {JOINT_STATES} was set by {step:.3g} s, so the arm was stopped"))
         number = self.counter.number(sample.stamp)
-        if number is None:
+        if number is not None:
+            self._keep(number, sample)
+        elif self._braked is None:
             return None
-        self._keep(number, sample)
         with self._lock:
             return self._watch(sample, now)
 
@@ -328,7 +332,6 @@ class Ros2Motion(SampleStream):
             stamp = self._link.send_goal(AHEAD, rows, tolerance, step.goal_time, answered, ended)
         else:
             stamp = self._link.send(AHEAD, rows)
-        self._offset = stamp - AHEAD - self._clock()
         self.course = Course(stamp, sample.position, points)
         if step.points is not None:
             self.cycle_starts.append(stamp + float(points.times[0]))
