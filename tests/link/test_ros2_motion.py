@@ -263,6 +263,22 @@ def test_after_a_brake_an_arm_out_of_sight_is_cancelled_and_not_thrown_to_its_tr
     assert (len(arm.brakes), arm.cancels) == (1, 1)
 
 
+def test_after_a_stall_a_brake_waits_for_a_sample_of_now():
+    """What was kept for a process that was stopped comes little by little."""
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
+    arm.run(1.5)
+    old, there = arm.now + PERIOD, arm.position
+    arm.now += 2.0
+    for stamp, brakes in ((old, 0), (old + PERIOD, 0), (arm.now, 1)):
+        sample = JointSample(stamp, there, np.zeros(2), np.ones(2))
+        arm.believed.take(sample, arm.now)
+        arm.motion.sample(sample, arm.now)
+        arm.motion.poll()
+        assert len(arm.brakes) == brakes
+    assert np.allclose(arm.stopped_from, there, atol=0.01)
+
+
 def test_two_causes_of_one_stop_brake_once_and_cancel_nothing():
     """Driver and guard see the same."""
     arm = Arm(True)

@@ -290,7 +290,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             seconds = motion.send_brake()
             if self._brake is not None:
                 self._brake.disarm()  # it sees no more than this process, and would brake once more
-            link.linger(seconds)
+            link.linger(seconds or 0.0)
             link.cancel()
         super()._on_failure(error)
 

@@ -31,6 +31,7 @@ LATE = 0.2
 START = 0.02
 #: Samples waiting to be read [s] beyond which no further goal is sent: nobody watches.
 UNREAD = 2.0
+_STALL = 0.5  # s in which nothing was watched here, and the second process may have braked
 _STEP = 1.0  # s between two samples that no clock makes which is left alone
 _OLD = 0.1  # s: what a sample says of an arm that moves on
 _TWICE = 0.2  # s: requests to stop that are nearer than this have one cause
@@ -89,6 +90,7 @@ class Ros2Motion(SampleStream):
         self._result: tuple[int, str] | None = None
         self._braked: float | None = None  # monotonic
         self._brake_due = self._brake_sent = False
+        self._polled = np.inf  # when time was looked at last, monotonic
         self._cancel_at = np.inf  # monotonic
         self._cancelled = False
         self._why: DriverError | None = None
@@ -131,21 +133,22 @@ class Ros2Motion(SampleStream):
             if again:
                 self._cancel_at = now
 
-    def send_brake(self) -> float:
+    def send_brake(self) -> float | None:
         """Send the point that brakes the arm from where it is now; how long that takes [s]. Never raises.
 
-        Where even the newest sample is old, the arm is where its trajectory has it, until a brake was sent.
+        Where even the newest sample is old, the arm is where its trajectory has it. After a brake nothing says where it
+        is: what runs is cancelled, and the point waits for a sample.
         """
         sample, velocity, now = self._link.latest, self._link.velocity, self._link.clock()
         if sample is None:
-            return 0.0
+            return None
         if now - sample.stamp <= _OLD:
             state = sample.position + velocity * max(now - sample.stamp, 0.0), velocity
         elif self.course is not None and not self._brake_sent:
             state = self.course.at(now)
         else:  # it would be thrown back to where it was
             self._cancel()
-            return 0.0
+            return None
         self._brake_sent = True
         return self._link.brake(self.strength, *state)
 
@@ -206,9 +209,11 @@ class Ros2Motion(SampleStream):
                     )
                 )
                 self._cancel_at = now
-            if self._brake_due:
+            if now - self._polled > _STALL:
+                self._brake_sent = True  # by the second process, for all that is known here
+            self._polled = now
+            if self._brake_due and (seconds := self.send_brake()) is not None:
                 self._brake_due, latest = False, self._link.latest
-                seconds = self.send_brake()
                 self._since = (0.0 if latest is None else latest.stamp) + seconds
                 self._cancel_at = min(self._cancel_at, now + seconds + CANCEL_AFTER)
             if now >= self._cancel_at:
