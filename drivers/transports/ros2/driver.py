@@ -103,6 +103,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
                 f"{self._timeout:g} s; is the controller loaded, are ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE and "
                 "RMW_IMPLEMENTATION those of the robot?"
             )
+        link.simulated = bool(self._parameters.get("use_sim_time"))
         self._manager = link.parameters(self._target.name(MANAGER), min(self._timeout, 3.0))
         joints = joints_of(self._parameters.get("joints") or ())
         link.listen(joints)

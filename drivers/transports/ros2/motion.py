@@ -117,7 +117,7 @@ class Ros2Motion(SampleStream):
         return self._accepted is True or not self._by_goal or self.over
 
     def brake(self, why: DriverError | None = None) -> None:
-        """Bring the arm to rest by one point; once more, and by cancelling, where that was asked for before.
+        """Bring the arm to rest by one point; once more, and by cancelling, where somebody asks again, without a reason.
 
         The thread of the link sends it at the end of its turn: the newest of the samples that wait says where the arm
         is. One from before a stall would send the arm back there.
@@ -126,7 +126,7 @@ class Ros2Motion(SampleStream):
             self._why, now = self._why or why, self._clock()
             if self.over:
                 return
-            again = self._braked is not None and now - self._braked > _TWICE
+            again = why is None and self._braked is not None and now - self._braked > _TWICE
             if self._braked is None or again:
                 self._phase, self._since, self._brake_due = "braking", np.inf, True
             self._braked = self._braked or now
@@ -168,7 +168,7 @@ class Ros2Motion(SampleStream):
         if self.over or self._phase == "idle":
             return None
         if sample is not self._link.latest:  # another arm's, or none
-            return self.brake(MotionStopped(self._link.doubt)) if self._braked is None else None
+            return self.brake(MotionStopped(self._link.doubt))
         step = sample.stamp - self._recent[-1][0] if self._recent else 0.0
         if abs(step) > _STEP:
             self._recent.clear()
