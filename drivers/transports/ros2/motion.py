@@ -117,7 +117,7 @@ class Ros2Motion(SampleStream):
         return self._accepted is True or not self._by_goal or self.over
 
     def brake(self, why: DriverError | None = None) -> None:
-        """Bring the arm to rest by one point; once more, and by cancelling, where somebody asks again, without a reason.
+        """Bring the arm to rest by one point; once more, and by cancelling, where somebody asks again without a reason.
 
         The thread of the link sends it at the end of its turn: the newest of the samples that wait says where the arm
         is. One from before a stall would send the arm back there.
