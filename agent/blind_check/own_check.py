@@ -91,6 +91,11 @@ class BlindCheck:
 def score_answers(key_file: Path, files: Sequence[Path], out: Path | None = None) -> dict[str, Any]:
     """Scores of files of answers, each a tool by the file's name; with `out`, results and page are kept there.
 
+    Args:
+        key_file: the sealed key of the runs.
+        files: of answers, one per tool.
+        out: new folder for results and page; None: nothing is kept.
+
     Raises:
         InputError: no whole key, or a file that cannot be scored.
     """

@@ -173,6 +173,11 @@ def read_json(path: Path) -> Any:
 def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
     """Validate what `read_yaml` returned.
 
+    Args:
+        path: of the file, for messages.
+        data: what `read_yaml` returned.
+        model: pydantic model of the document.
+
     Raises:
         InputError: with one line per fault.
     """
@@ -183,7 +188,13 @@ def validate_document(path: Path, data: Any, model: type[Model]) -> Model:
 
 
 def find_faults(path: Path, data: Any, model: type[BaseModel]) -> dict[tuple[Any, ...], str]:
-    """Faults in the data that `read_yaml` returned: a line for people by the location of each fault."""
+    """Faults in the data that `read_yaml` returned: a line for people by the location of each fault.
+
+    Args:
+        path: of the file, for messages.
+        data: what `read_yaml` returned.
+        model: pydantic model of the document.
+    """
     if not isinstance(data, dict):
         return {(): f"{path}:1: a mapping of keys is expected, not {kind_of(data)}"}
     try:

@@ -10,7 +10,14 @@ from collections.abc import Iterable, Sequence
 
 
 def error_text(share: float | None, torque: float | None, unit: str = "N·m", digits: int = 2) -> str:
-    """`share` of nominal torque in percent; where it is None or NaN the torque itself; "-" without either."""
+    """`share` of nominal torque in percent; where it is None or NaN the torque itself; "-" without either.
+
+    Args:
+        share: of nominal torque.
+        torque: in `unit`.
+        unit: of the torque.
+        digits: that are significant.
+    """
     if share is not None and math.isfinite(share):
         return f"{100 * share:.{digits}f} %"
     if torque is not None and math.isfinite(torque):

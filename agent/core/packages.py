@@ -20,6 +20,11 @@ def package_version(package: str = "calibration-agent") -> str:
 def needed(module: str, what: str, extra: str = "fleet") -> Any:
     """Import an optional package.
 
+    Args:
+        module: name to import.
+        what: what needs it, for the message.
+        extra: of this package that installs it.
+
     Raises:
         InputError: it is not installed; says how to install it.
     """

@@ -16,7 +16,13 @@ from agent.simulators import Correction, PositionServos, Released, Simulator, co
 
 
 def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
-    """What the simulator's numbers should be, by all logs or by all but one (`without`)."""
+    """What the simulator's numbers should be, by all logs or by all but one (`without`).
+
+    Args:
+        diagnosis: of logs against the simulator.
+        simulator: the file as given.
+        without: fold that is left out, from 0; None: none.
+    """
     fit, names = diagnosis.selected.fit, simulator.arm.joint_names
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
     b = len(simulator.model.independent)

@@ -52,12 +52,6 @@ class DecisionLimits:
     )
     deviations: float = known(3.0, "standard deviations", "more is no chance", "chosen: 0.3 % of normal errors")
     fewest: int = known(10, "samples", "fewer say nothing", "chosen")
-    path_probability: float = known(
-        0.97,
-        "probability",
-        "of a cause in the path: set-points are numbers, only a log that misplaces them errs",
-        "chosen",
-    )
 
     # In plain held-out error
     alike: float = known(
@@ -100,7 +94,6 @@ class DecisionLimits:
     least_error: float = known(
         0.01, "RMS torque", "expected of a simulator's file, however little its numbers moved leave", "chosen"
     )
-    weak_model: float = known(0.12, "torque", "that the model gets wrong by itself, from where on it is said", "chosen")
     least_travel: float = known(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
 
     # Segments of time
@@ -114,6 +107,11 @@ class DecisionLimits:
     )
     blocks: int = known(5, "parts", "of a log that is compared with itself", "chosen")
     shortest: float = known(3.0, "s", "of the only log", "chosen: five folds with guards")
+
+    @property
+    def weak_model(self) -> float:
+        """Share of torque that a model gets wrong by itself, from where on it is said: far more than usual."""
+        return self.deviations * self.unknown_error
 
 
 LIMITS = DecisionLimits()

@@ -26,7 +26,14 @@ def unit_of(effect: str, parameter: str) -> str:
 def size_text(
     cause: Mapping[str, Any], parameter: str, value: float, interval: tuple[float, float] | None = None
 ) -> str:
-    """A value of a cause's parameter, its interval and unit."""
+    """A value of a cause's parameter, its interval and unit.
+
+    Args:
+        cause: as in a result.
+        parameter: name of one of its parameters.
+        value: in SI units.
+        interval: its ends; None: it has none.
+    """
     unit, slides = unit_of(cause["effect"], parameter), cause.get("slides", False)
     half = float("nan") if interval is None else (interval[1] - interval[0]) / 2
     if unit == "%":

@@ -29,6 +29,12 @@ def with_structure(
 ) -> IdentifiedModel:
     """A model of these logs with the effects that they show, or as it was; a note says which and why.
 
+    Args:
+        robot: description of the arm.
+        logs: that the model was fitted to.
+        model: of bodies and friction.
+        progress: called with what is being done.
+
     Raises:
         InputError: logs too short for parts of them to be held out.
     """

@@ -174,6 +174,11 @@ def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator
 
     With `reduce`, the rates before and after the filter are cut to what the cut-off needs; else every sample is kept.
 
+    Args:
+        log: positions, and torque and set-points if it has them.
+        settings: cut-off and order of the torque filter.
+        reduce: whether rates are cut to what the cut-off needs.
+
     Raises:
         InputError: no segment is longer than the filter's edges, or the sampling rate is too low for the cut-off.
     """
@@ -285,6 +290,12 @@ def smooth_and_differentiate(
     """Low-pass an evenly sampled (S, n) signal; returns it and its first and second derivative.
 
     Flat up to `pass_edge`, nothing from `stop_edge` on [Hz].
+
+    Args:
+        position: (S, n) evenly sampled.
+        rate: of the samples [Hz].
+        pass_edge: up to where the filter is flat [Hz].
+        stop_edge: from where it passes nothing [Hz].
     """
     q, qd, qdd = _smooth(position, rate, (pass_edge, stop_edge), 1, (0, 1, 2))
     return q, qd, qdd

@@ -116,6 +116,11 @@ class Observation:
 def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -> Observation:
     """Filter logs into an observation, all with the cut-off that the slowest sampling allows, unless it is given.
 
+    Args:
+        rigid: bodies whose columns are taken.
+        logs: with torque.
+        settings: cut-off, if given, and order of the filter.
+
     Raises:
         InputError: a log without torque, with other joints than the robot, or too short for the filter.
     """

@@ -40,7 +40,13 @@ class Prior:
 
 
 def physical_prior(observation: Observation, terms: tuple[FrictionTerm, ...], links: str = DESCRIPTION) -> Prior:
-    """Prior of the base parameters and friction terms of an observation."""
+    """Prior of the base parameters and friction terms of an observation.
+
+    Args:
+        observation: filtered logs.
+        terms: friction terms of the model.
+        links: which prior of the links: description, none or the better of both.
+    """
     robot = observation.robot
     mean, deviation = link_prior(observation, links)
     projection = observation.rigid.projection

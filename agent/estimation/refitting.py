@@ -50,6 +50,12 @@ class Refit:
 def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "friction", tool: Tool | None = None) -> Refit:
     """Estimate `parameters` ("friction" or "all") of a model again from logs that it has not seen.
 
+    Args:
+        model: to be brought up to date.
+        logs: of the arm as it is now.
+        parameters: "friction" or "all".
+        tool: at the flange in these logs; None: the model's.
+
     Raises:
         InputError: logs that cannot be used, or a model whose base parameters are not this version's.
     """

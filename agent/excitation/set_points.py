@@ -109,6 +109,11 @@ class SetPointPlan:
 def plan_set_points(simulator: Simulator, rate: float, kinds: Sequence[str] = EXCITATIONS) -> SetPointPlan:
     """The motions with the largest amplitudes that keep all limits, at `rate` [Hz].
 
+    Args:
+        simulator: file with position servos.
+        rate: of the set-points [Hz].
+        kinds: of motion, each in both motions.
+
     Raises:
         InputError: the file has no position servos, or no motion keeps all limits.
     """
@@ -130,7 +135,14 @@ def plan_set_points(simulator: Simulator, rate: float, kinds: Sequence[str] = EX
 def excitation(
     limits: SetPointLimits, rate: float, share: float = 1.0, kinds: Sequence[str] = EXCITATIONS
 ) -> tuple[SetPointMotion, ...]:
-    """Two motions, each with all `kinds` and from the start back to it; the second goes the other way."""
+    """Two motions, each with all `kinds` and from the start back to it; the second goes the other way.
+
+    Args:
+        limits: of position, speed and acceleration per joint.
+        rate: of the set-points [Hz].
+        share: of the largest amplitude.
+        kinds: of motion.
+    """
     motions = []
     for number in range(_MOTIONS):
         sign = 1.0 if number % 2 == 0 else -1.0

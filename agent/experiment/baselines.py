@@ -38,6 +38,14 @@ def pieces_otherwise(
     As many as the time takes: every use of it is to have the same. How long the ways between them take is up to
     `runnable`.
 
+    Args:
+        pick: chooses the next of the pieces that fit.
+        problem: sub-region and limits of the motion.
+        seconds: longest motion [s].
+        seed: of the draw.
+        runnable: whether pieces can run one after the other.
+        kinds: of pieces, and how often each is drawn.
+
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """

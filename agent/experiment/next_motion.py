@@ -175,6 +175,14 @@ def clearer_with_mass(
 ) -> WithMass | None:
     """A known mass with which a motion separates clearly what this one of the bare arm separates with doubt.
 
+    Args:
+        found: diagnosis that leaves pairs open.
+        recipe: where the motion lies.
+        problem: its limits.
+        motion: the one planned for the bare arm.
+        console: told what is being done.
+        deadline: end of planning; None: no end.
+
     Raises:
         InputError: as `plan_motion`.
     """

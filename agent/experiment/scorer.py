@@ -38,14 +38,14 @@ _LOADED = 1.5
 
 @dataclass(frozen=True, eq=False)
 class InformationGain:
-    """Gain from motions: information (m, m) on the parameters of model and forms, and the excursions of all joints."""
+    """Gain from motions: information (m, m) on the parameters of model and forms, and the coverage of all joints."""
 
     information: np.ndarray
-    excursions: MotionCoverage
+    coverage: MotionCoverage
 
     def __add__(self, other: InformationGain) -> InformationGain:
         """The sum of both."""
-        return InformationGain(self.information + other.information, self.excursions + other.excursions)
+        return InformationGain(self.information + other.information, self.coverage + other.coverage)
 
 
 class ExperimentScorer:
@@ -135,7 +135,7 @@ class ExperimentScorer:
         if true.form is None:
             return float("nan")
         whole, model = self._known + added.information, len(self.dataset.fit.precision)
-        reached = self._reached + added.excursions
+        reached = self._reached + added.coverage
         if reached.lacking(true.form.effect, true.form.joints):
             return 0.0
         free = [np.arange(model), *(self._place[one] for one in pair.shared)]
@@ -210,7 +210,15 @@ def _low_pass(rate: float, dataset: Dataset) -> Callable[[np.ndarray], np.ndarra
 def tells_apart_by_load(
     dataset: Dataset, evidence: Evidence, pairs: Sequence[OpenPair], motions: Sequence[GridMotion], load: Tool
 ) -> bool:
-    """Return whether a known load at the flange clearly improves what the same motions distinguish."""
+    """Return whether a known load at the flange clearly improves what the same motions distinguish.
+
+    Args:
+        dataset: logs of the diagnosis.
+        evidence: of its hypotheses.
+        pairs: that are open.
+        motions: the same without and with the load.
+        load: known mass at the flange.
+    """
     bare, loaded = (ExperimentScorer(dataset, evidence, pairs, one) for one in (None, load))
     first, second = (
         np.nan_to_num(one.evidence(sum((one.told(motion) for motion in motions), one.nothing)))

@@ -38,6 +38,11 @@ _LONGEST = 300
 def write_page(result: str, tables: Sequence[Path] = (), out: str | None = None) -> str:
     """Write the page of a result, into it (`_report.html`) or to the file `out`; returns where it is.
 
+    Args:
+        result: address of the folder of results.
+        tables: further columns per run.
+        out: file of the page; None: in the result.
+
     Raises:
         InputError: no result, or a table that cannot be used.
         AgentError: the page cannot be written.

@@ -122,6 +122,12 @@ def make_question(kind: str, robot: str | None, model: str | None, **options: An
 
     A `model` that is no local file is a name to look for in or above every run.
 
+    Args:
+        kind: of the question, as the command is called.
+        robot: name or file of the description; None: that of each run.
+        model: file, or name in or above each run.
+        options: of the kind.
+
     Raises:
         InputError: a robot or a file that cannot be used, or an unknown effect, method, structure or cut-off.
     """

@@ -25,6 +25,12 @@ SMALLEST = 2.0
 def check_effort(driver: Driver, robot: RobotDescription, tool: Tool | None, address: str) -> str:
     """Compare the effort of the stationary arm with what the recipe says; returns a remark for a person, or nothing.
 
+    Args:
+        driver: connected, with the arm stationary.
+        robot: description of the arm.
+        tool: at the flange; None: none.
+        address: of the controller, for messages.
+
     Raises:
         ControllerError: it cannot be what the recipe says.
     """

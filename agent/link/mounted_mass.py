@@ -19,7 +19,13 @@ _COMMENT = "planned with this at the flange: "
 
 
 def with_payload(text: str, load: Tool, comment: str) -> str:
-    """A program whose second line, a `comment`, names its payload, so that copies keep it."""
+    """A program whose second line, a `comment`, names its payload, so that copies keep it.
+
+    Args:
+        text: of the program.
+        load: mass at its flange.
+        comment: characters that begin a comment.
+    """
     from agent.model import payload_text
 
     first, body = text.split("\n", 1)
@@ -34,6 +40,11 @@ def planned_load(text: str) -> str | None:
 
 def check_payload(robot: RobotDescription, tool: Tool | None, load: Tool) -> None:
     """Check that the arm may carry a mass at its flange in addition to its tool.
+
+    Args:
+        robot: description with its rated payload.
+        tool: at the flange; None: none.
+        load: that comes in addition.
 
     Raises:
         InputError: both together are more than the arm is rated for.

@@ -158,6 +158,11 @@ def steady_columns(terms: Sequence[FrictionTerm], speed: np.ndarray, sharp: bool
     """The same (S, T) at constant speeds (S,) of the axles, long after a reversal and without load; 0 at speed 0.
 
     A direction that follows the speed does so here; `sharp`: it is that of full sliding at the slowest speed already.
+
+    Args:
+        terms: of friction.
+        speed: (S,) of the axles [rad/s].
+        sharp: whether the slowest speed slides in full already.
     """
     columns, magnitude = np.zeros((len(speed), len(terms))), np.abs(speed)
     for k, term in enumerate(terms):

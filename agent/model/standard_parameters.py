@@ -85,6 +85,13 @@ def nearest_bodies(
     """(p,) bodies that could exist, with columns (b, p) times them near target (b,) and near `start` (p,) otherwise.
 
     `weights` are the ascending μ of the module's formula; each minimum is where Newton's method starts for the next.
+
+    Args:
+        columns: (b, p) base parameters per standard parameter.
+        target: (b,) base parameters.
+        start: (p,) bodies to begin with.
+        layout: of the standard parameters.
+        weights: ascending μ of the formula.
     """
     slope, bodies = log_det_gradient(start, layout), start
 
@@ -139,7 +146,13 @@ def is_inside(standard: np.ndarray, layout: ParameterLayout) -> bool:
 
 
 def body_parameters(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """(10,) of a body, from mass [kg], centre (3,) [m] and inertia (3, 3) [kg·m²] about the centre, in one frame."""
+    """(10,) of a body, from mass [kg], centre (3,) [m] and inertia (3, 3) [kg·m²] about the centre, in one frame.
+
+    Args:
+        mass: [kg].
+        centre: (3,) of mass [m].
+        inertia: (3, 3) about the centre [kg·m²].
+    """
     about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     return np.array([mass, *(mass * centre), *(about[i, j] for i, j in _INERTIA_ORDER)])
 
@@ -216,7 +229,13 @@ def reference_parameters(model: RigidFrictionModel) -> np.ndarray:
 
 
 def nearby_body(block: np.ndarray, mass: float, reach: float) -> np.ndarray:
-    """(10,) standard parameters of the URDF where it is a body, else near them; of `mass` [kg] where it has none."""
+    """(10,) standard parameters of the URDF where it is a body, else near them; of `mass` [kg] where it has none.
+
+    Args:
+        block: (10,) as described.
+        mass: of a body that has none [kg].
+        reach: of the arm [m].
+    """
     weightless = block[0] <= 0
     matrix = pseudo_inertia(np.append(mass, np.zeros(9)) if weightless else block)
     centre = matrix[:3, 3] / matrix[3, 3]
@@ -233,6 +252,11 @@ def link_scale(blocks: np.ndarray, least_mass: float, least_radius: float) -> np
     """(n, 10) usual size of the parameters of links (n, 10): mass m, m r and m r² with r the radius of gyration [m].
 
     Neither m [kg] nor r is taken below the least value given.
+
+    Args:
+        blocks: (n, 10) links.
+        least_mass: [kg].
+        least_radius: of gyration [m].
     """
     mass = np.maximum(blocks[:, 0], least_mass)
     gyration = np.sqrt(np.maximum(blocks[:, [4, 6, 9]].sum(axis=1), 0) / 2 / mass)

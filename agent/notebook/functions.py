@@ -177,6 +177,12 @@ def calibrate(
 ) -> Calibration:
     """The whole job on the recipe's controller: the robot moves. `yes` answers the question before its first motion.
 
+    Args:
+        recipe: or its path.
+        logs: folder of runs.
+        resume: run to go on with; None: a new one.
+        yes: answer to the question before the first motion.
+
     Raises:
         AgentError, DriverError: as `agent calibrate`, before anything moves or after a controlled stop.
     """

@@ -43,6 +43,14 @@ def next_steps(kind: str, accepted: bool, run: Path, recipe: Recipe, path: Path,
     """Commands that may follow a complete run.
 
     `path` is the recipe as the commands name it, `current` the run of the robot's current model.
+
+    Args:
+        kind: of the run.
+        accepted: whether its gate passed.
+        run: its folder.
+        recipe: the recipe in it.
+        path: of the recipe as commands name it.
+        current: run of the current model; None: none.
     """
     logs = run.parent
     where = "" if logs == _LOGS else f" --logs {shlex.quote(str(logs))}"

@@ -104,6 +104,11 @@ def import_files(
 def load_arm(robot: str, logs: Sequence[Path] = (), topic: str | None = None) -> RobotDescription:
     """A robot by name or path; of a URDF or MJCF, the arm whose joints the logs have.
 
+    Args:
+        robot: name or path.
+        logs: whose joints count.
+        topic: of the logs, where they have several.
+
     Raises:
         InputError: no such robot, or a file that is wrong.
     """
@@ -195,6 +200,12 @@ def check_one_machine(
     """Refuse logs of several machines or tools, or of others than the model's.
 
     With `payload_counts`, a mass that was mounted on purpose is taken into account, as by a diagnosis.
+
+    Args:
+        logs: of one diagnosis or estimate.
+        model: to judge them by; None: none.
+        allow_mixed: whether several machines are allowed.
+        payload_counts: whether a mounted mass is taken into account.
 
     Raises:
         InputError: two serials or two tools differ (both are named), or a payload would not be taken into account.
@@ -343,7 +354,14 @@ def what_a_model_lacks(robot: str, logs: Sequence[str]) -> str:
 def fit_files(
     robot: str | RobotDescription, paths: list[Path], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
-    """`fit_logs` of files; the robot is a description or its name."""
+    """`fit_logs` of files; the robot is a description or its name.
+
+    Args:
+        robot: description or its name.
+        paths: of the logs.
+        question: cut-off, method and tool.
+        console: told what is being done.
+    """
     check_structure(question.structure)
     description = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
     logs = read_logs(paths, description, console, question.topic, question.effort, question.force)

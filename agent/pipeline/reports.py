@@ -216,6 +216,11 @@ def write_analysis(path: Path, log: Log, prediction: Prediction) -> None:
 def write_index(logs: Path, robot: str | None = None, serial: str | None = None) -> Path:
     """Write `index.html` over all runs of a folder, or of one robot in it; returns its path.
 
+    Args:
+        logs: folder of runs.
+        robot: name of the only one that is shown.
+        serial: of the only machine that is shown.
+
     Raises:
         InputError: there is no such folder, or nothing in it.
     """

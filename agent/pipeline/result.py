@@ -121,6 +121,11 @@ def conditions(log: Log, model: IdentifiedModel, prediction: Prediction | None =
 
     `friction` has one entry per axle and speed, as `_levels` says. `warm_up` has, by axle, the relative change of
     friction per second of motion and its deviation; without a `prediction` of the log, one is made where it is needed.
+
+    Args:
+        log: of the excitation.
+        model: identified from it.
+        prediction: of the log; None: made where it is needed.
     """
     n, cycles = model.robot.dof, len(log.cycle_starts)
     rate = deviation = np.full(n, np.nan)

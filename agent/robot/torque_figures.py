@@ -33,7 +33,13 @@ def error_units(robot: RobotDescription) -> list[str]:
 
 
 def figure_text(value: float, unit: str, digits: int = 2) -> str:
-    """A figure in one of `error_units`: shares in percent."""
+    """A figure in one of `error_units`: shares in percent.
+
+    Args:
+        value: share, or torque.
+        unit: one of `error_units`.
+        digits: that are significant.
+    """
     return error_text(value, None, digits=digits) if unit == SHARE else error_text(None, value, unit)
 
 
@@ -56,7 +62,14 @@ def not_judged_text(robot: RobotDescription, gate: float) -> str:
 
 
 def outcome_text(accepted: bool, reason: str, not_judged: Sequence[str], joints: Sequence[str]) -> str:
-    """The gate's word on a run."""
+    """The gate's word on a run.
+
+    Args:
+        accepted: whether the gate passed.
+        reason: why.
+        not_judged: joints without a limit.
+        joints: all of them.
+    """
     if not accepted:
         return f"REJECTED: {reason}"
     if len(not_judged) == len(joints):

@@ -120,7 +120,13 @@ def history_table(runs: Sequence[PastRun], current: Collection[str] = ()) -> str
 
 
 def history_json(history: History, runs: Sequence[PastRun], current: Collection[str] = ()) -> dict[str, Any]:
-    """Everything the history knows of these runs, as plain data."""
+    """Everything the history knows of these runs, as plain data.
+
+    Args:
+        history: of a folder.
+        runs: that are shown.
+        current: runs of current models.
+    """
     parameters = history.parameters(run.run for run in runs)
     return {
         "schema": "history/1",

@@ -116,7 +116,13 @@ class PastRun:
 
 
 def too_early(past: PastRun, every: float, now: datetime) -> str:
-    """Why a run is not due yet, `every` seconds after the last accepted one; empty where it is."""
+    """Why a run is not due yet, `every` seconds after the last accepted one; empty where it is.
+
+    Args:
+        past: the last accepted run.
+        every: period [s].
+        now: with a time zone.
+    """
     if past.in_future(now):
         return ""
     interval, age = timedelta(seconds=every), max(timedelta(), now - past.time)

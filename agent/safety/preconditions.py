@@ -49,6 +49,11 @@ def check_identity(identity: Identity, robot: RobotDescription, address: str) ->
 def check_period(identity: Identity, rate: float, address: str) -> None:
     """The controller samples at the recipe's rate [Hz].
 
+    Args:
+        identity: what the controller says of itself.
+        rate: of the recipe [Hz].
+        address: of the controller, for messages.
+
     Raises:
         MismatchError: it does not.
     """
@@ -61,6 +66,11 @@ def check_period(identity: Identity, rate: float, address: str) -> None:
 
 def check_throughput(driver: Driver, identity: Identity, address: str) -> None:
     """The link carries the samples as fast as the controller makes them: what comes late, nobody can watch.
+
+    Args:
+        driver: connected.
+        identity: what the controller says of itself.
+        address: of the controller, for messages.
 
     Raises:
         ControllerError: it does not.

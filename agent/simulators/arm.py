@@ -173,6 +173,11 @@ def _between_axes(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, floa
 def model_of(arm: SimulatedArm, robot: RobotDescription, provenance: dict[str, object]) -> IdentifiedModel:
     """The identified model that predicts what the file's simulator does. `robot` is that of `described`.
 
+    Args:
+        arm: as read from the file.
+        robot: description that `described` gives.
+        provenance: of the model.
+
     Raises:
         InputError: a mass matrix that is not positive, or joints that are not one serial chain.
     """

@@ -145,7 +145,13 @@ def _levels(model: IdentifiedModel, joints: Sequence[int], numbers: SimulatorNum
 
 
 def reversal_over(joints: tuple[str, ...], travel: float, level: float) -> ModelEffect:
-    """A friction `level` [N·m] that reverses over a `travel` [rad], beyond the one that changes sign at once."""
+    """A friction `level` [N·m] that reverses over a `travel` [rad], beyond the one that changes sign at once.
+
+    Args:
+        joints: name of the joint.
+        travel: over which friction reverses [rad].
+        level: of friction [N·m].
+    """
     return ModelEffect("presliding", joints, {"travel": travel, "level": level})
 
 

@@ -153,7 +153,7 @@ def test_does_not_predict_a_separation_for_too_short_a_travel(arm, ambiguous):
     short = MotionCoverage(
         ("joint_1", "joint_2"), np.ones(2, bool), np.zeros(2), np.full(2, 0.05), np.ones(2), np.full(2, 9)
     )
-    scorer._reached, little = short, replace(wide, excursions=short)
+    scorer._reached, little = short, replace(wide, coverage=short)
     assert scorer.chances(little)[0, 0] == 0.0
     assert scorer.chances(little)[0, 1] == pytest.approx(1.0)
     assert scorer.minimum_detectable_sizes(little)[1] is None

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from agent.diagnosis.document import Cause
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.recording import Log
 
@@ -55,7 +56,7 @@ class MotionGap:
     def causes(self, of_path: Sequence[str]) -> list[Cause] | None:
         """The gap as a cause, by the first of these effects, if any; None if nothing explains it."""
         parameters = {"rate": self.rate, "shift": self.shift, "blend": self.blend}
-        found = [Cause(name, (), self.closure, LIMITS.path_probability, parameters) for name in of_path[:1]]
+        found = [Cause(name, (), self.closure, LAW.certain, parameters) for name in of_path[:1]]
         return found if self.described else None
 
     @property

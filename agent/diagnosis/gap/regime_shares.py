@@ -84,6 +84,11 @@ def motor_phase_share(dataset: Dataset, error: np.ndarray, joint: int) -> float 
 
     Slowly: two periods a turn stay below the cut-off. What one value a phase and turn would explain of noise is taken
     off. None where the motor makes less than three such turns, or moves a slide.
+
+    Args:
+        dataset: logs with their filtered motion.
+        error: (S,) [N·m] of the joint, NaN on guards.
+        joint: from 0.
     """
     robot = dataset.robot
     if robot.joints[joint].prismatic:

@@ -33,6 +33,11 @@ def with_healthy_effects(
 
     Each log of the baseline is judged by parameters fitted to the others, and logs that were `held_out` by the model
     itself, all together. With one log alone nothing can be learned, and the model is returned as it is.
+
+    Args:
+        model: identified from the baseline.
+        baseline: logs of the healthy arm.
+        held_out: healthy logs that the model was not fitted to.
     """
     baseline, held_out = ([_beginning(log) for log in logs] for logs in (baseline, held_out))
     learned = [_judged(model, held_out)] if held_out else []

@@ -57,13 +57,13 @@ class Search:
     ):
         self.fit, self._progress, self._observed, self._healthy = fit, progress, observed, healthy
         self._ignored, self.allowed = without, {name for name in CATALOGUE if name not in without}
-        self.excursions = MotionCoverage.of(fit.signals)
+        self.coverage = MotionCoverage.of(fit.signals)
         self._places = [
             (effect, joints)
             for effect in CATALOGUE.values()
             if effect.shows_in == "torque" and effect.name in self.allowed
             for joints in effect.places(fit.reference.robot)
-            if (only is None or (effect.name, joints) in only) and not self.excursions.lacking(effect, joints)
+            if (only is None or (effect.name, joints) in only) and not self.coverage.lacking(effect, joints)
         ]
         self._known: set[Candidate] = set()
         self._found: dict[Key, Evaluated] = {}

@@ -23,7 +23,7 @@ def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[HypothesisKey, 
     Four of five draws of that size would be named. It is infinite where the motions lack what the effect needs; what
     happens once has none.
     """
-    excursions = MotionCoverage.of(dataset.fit.signals)
+    coverage = MotionCoverage.of(dataset.fit.signals)
     found: dict[HypothesisKey, float] = {}
     for number, size in enumerate(evidence.smallest_sizes()):
         candidate = evidence.pool.candidate(number)
@@ -32,7 +32,7 @@ def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[HypothesisKey, 
             found[place] = min(found.get(place, np.inf), size / candidate.effect.practical)
     for effect in CATALOGUE.values():
         for joints in () if effect.transient or effect.shows_in == "path" else effect.places(dataset.robot):
-            if (effect.name, joints) not in found and excursions.lacking(effect, joints):
+            if (effect.name, joints) not in found and coverage.lacking(effect, joints):
                 found[effect.name, joints] = np.inf
     return found
 
@@ -43,7 +43,7 @@ def power(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]
     A joint that never moved has an entry only for effects that would have shown without motion.
     """
     robot, scale, found = dataset.robot, dataset.fit.reference.scale, []
-    moved = search.excursions.moved
+    moved = search.coverage.moved
     for (name, joints), size in sizes.items():
         if name not in search.allowed or not (np.isfinite(size) or moved[list(joints)].all()):
             continue
@@ -65,7 +65,7 @@ def not_testable(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey,
             continue
         for joints in effect.places(robot):
             where = ", ".join(robot.joint_names[j] for j in joints) or None
-            why = search.excursions.lacking(effect, joints)
+            why = search.coverage.lacking(effect, joints)
             if not why and (name, joints) not in sizes:
                 why = "" if effect.transient else effect.why_absent
             elif not why and sizes[name, joints] > 1:

@@ -66,7 +66,13 @@ class _Side:
 def separations(
     found: Diagnosis, simulator: Simulator, motions: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> list[Separation]:
-    """What each motion, times (S,) [s] and set-points (S, n), would tell of the pairs that are open."""
+    """What each motion, times (S,) [s] and set-points (S, n), would tell of the pairs that are open.
+
+    Args:
+        found: diagnosis of position logs.
+        simulator: the file as given.
+        motions: by name: times (S,) [s] and set-points (S, n) [rad or m].
+    """
     pairs = list(_pairs(found))
     lines = {name: _line(found, simulator, *motion) for name, motion in motions.items()} if pairs else {}
     result = []

@@ -185,7 +185,7 @@ def _expected_error(robot: RobotDescription, observation: Observation, share: fl
     """Usual error (n,) [N·m] of a model of these logs if there are no others: a share of the torque."""
     torque = np.concatenate([segment.torque for segment in observation.segments])
     usual = share * np.std(torque, axis=0)
-    least = np.where(np.isfinite(robot.nominal_torque), share / 8 * robot.nominal_torque, 0.0)
+    least = np.where(np.isfinite(robot.nominal_torque), LIMITS.least_background * robot.nominal_torque, 0.0)
     return np.maximum(np.maximum(usual, least), 1e-9)
 
 
@@ -207,6 +207,12 @@ def noise_level(
 
     At a standstill, stiction allows any torque below the Coulomb level.
     `beside`: see `standing`.
+
+    Args:
+        reference: model whose Coulomb levels count.
+        moving: (n,) held-out error of moving joints [N·m].
+        signals: filtered motions, whose rows are returned.
+        beside: other motions of the same arm, as for `standing`.
     """
     still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
     found = standing(signals, beside)

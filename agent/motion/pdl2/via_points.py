@@ -44,6 +44,13 @@ def via_points(
     A MOVE JOINT, which the controller does not have for points, is taken from its plan, one of the `chains` from stop
     to stop.
 
+    Args:
+        name: of the program.
+        statements: in order.
+        chains: plans from stop to stop.
+        robot: description of the arm.
+        tool: at the flange; None: none.
+
     Raises:
         InputError: a move that points cannot say.
     """

@@ -75,7 +75,13 @@ def against_last_accepted(run: Path, model: IdentifiedModel, excitation: Log) ->
 def comparison_page(
     models: dict[str, IdentifiedModel], comparisons: Sequence[Comparison], predictions: Sequence[Prediction]
 ) -> str:
-    """HTML text: of runs by name, each later one compared with the first; `predictions` of one motion, a run each."""
+    """HTML text: of runs by name, each later one compared with the first; `predictions` of one motion, a run each.
+
+    Args:
+        models: by name of their runs.
+        comparisons: each with the first.
+        predictions: of one motion, one per run.
+    """
     names, robot = list(models), predictions[0].model.robot
     last = comparisons[-1]
     moved = sorted((c for c in last.parameters if c.moved), key=lambda c: -abs(c.deviations))

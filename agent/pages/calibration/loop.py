@@ -125,7 +125,13 @@ def search_section(search: Mapping[str, Any]) -> Section:
 
 
 def plan_report(loop: ShownLoop, search: Mapping[str, Any], program: str) -> str:
-    """HTML text of a plan, before anything moves."""
+    """HTML text of a plan, before anything moves.
+
+    Args:
+        loop: motion to be shown.
+        search: how it was found.
+        program: its text.
+    """
     recipe, largest = loop.recipe, max(100 * float(values.max()) for values in loop.limit_use.values())
     headline = f"The motion keeps all limits. One cycle takes {loop.duration:.1f} s."
     facts = [

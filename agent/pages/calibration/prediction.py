@@ -19,6 +19,12 @@ def torque_plot(prediction: Prediction, error: np.ndarray, start: float = -np.in
     """Predicted torque in parts and measured torque from `start` to `stop` [s], and the residual with its bounds.
 
     The joint with the largest `error` (n,) [N·m] over nominal torque comes first.
+
+    Args:
+        prediction: torque in parts, and measured.
+        error: (n,) held out [N·m].
+        start: first time that is shown [s].
+        stop: last one [s].
     """
     inside = np.flatnonzero((prediction.time >= start) & (prediction.time <= stop))
     chosen = inside[thinned(np.hstack([prediction.error[inside], prediction.measured[inside]]))]

@@ -91,6 +91,12 @@ class SetPointFiles:
 def plan_of_file(path: Path, folder: Path, console: Console, kinds: Sequence[str] = EXCITATIONS) -> SetPointFiles:
     """Plan a minute of set-points for the arm of an MJCF, and write them into a new folder. Opens no port.
 
+    Args:
+        path: of the MJCF.
+        folder: that is made.
+        console: told what is being done.
+        kinds: of motion.
+
     Raises:
         InputError: a file without position servos, no motion that keeps all limits, or the folder holds a plan already.
         AgentError: the folder cannot be made.

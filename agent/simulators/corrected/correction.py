@@ -130,7 +130,15 @@ def correct(
 def with_servos(
     found: Correction, stiffness: np.ndarray, damping: np.ndarray, delay: np.ndarray, reasons: Mapping[str, str]
 ) -> Correction:
-    """The correction with its servos' stiffness, damping (kv) and delay (n,) changed; `reasons` by kind and joint."""
+    """The correction with its servos' stiffness, damping (kv) and delay (n,) changed; `reasons` by kind and joint.
+
+    Args:
+        found: correction without servos.
+        stiffness: (n,) kp [N·m/rad].
+        damping: (n,) kv [N·m·s/rad].
+        delay: (n,) of the command [s].
+        reasons: why, by kind and joint.
+    """
     servos, released = found.arm.servos, found.released
     if not isinstance(servos, PositionServos):
         return found
