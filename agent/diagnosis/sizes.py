@@ -14,7 +14,7 @@ from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.model import CATALOGUE
 
 _ROUNDING = 1e-9  # of a parameter: it is the same in every fold
-_LEAST_DEGREES = 3  # of freedom
+_LEAST_DEGREES = 3  # of freedom of Student's t
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 
@@ -38,7 +38,7 @@ def size_text(
     half = float("nan") if interval is None else (interval[1] - interval[0]) / 2
     if unit == "%":
         value, half = 100 * value, 100 * half
-    elif unit in _SCALES and not slides and abs(value) < 0.1:
+    elif unit in _SCALES and not slides and abs(value) < 100 / _SCALES[unit][0]:
         scale, unit = _SCALES[unit]
         value, half = scale * value, scale * half
     if slides:

@@ -60,13 +60,15 @@ def pieces_otherwise(
 def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
     """Pieces picked one after the other while one fits into the time, after those that it begins with."""
     chosen = list(begun)
-    left = seconds - sum(piece.duration for piece in chosen)
+    remaining = seconds - sum(piece.duration for piece in chosen)
     while True:
-        options = [piece for piece in pool if piece.duration <= left and all(piece is not one for one in chosen)]
+        options = [
+            piece for piece in pool if piece.duration <= remaining and all(piece is not other for other in chosen)
+        ]
         if not options:
             return chosen
         chosen.append(pick(chosen, options))
-        left -= chosen[-1].duration
+        remaining -= chosen[-1].duration
 
 
 def as_drawn(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:

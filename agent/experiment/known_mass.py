@@ -64,7 +64,7 @@ def helped(expected: Expected) -> bool:
 
 
 def with_a_mass(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     pairs: Sequence[OpenPair],
     problem: LoopProblem,
     seed: int,
@@ -76,18 +76,18 @@ def with_a_mass(
 
     With the motion planned for the `bare` arm: a pair of the named cause that it leaves in doubt.
     """
-    doubtful = {id(e.pair): e.after for e in (bare.expected if bare else ()) if _doubted(found, e)}
-    load = _trial_load(found, problem)
+    doubtful = {id(e.pair): e.after for e in (bare.expected if bare else ()) if _doubted(diagnosis, e)}
+    load = _trial_load(diagnosis, problem)
     if load is None or (bare is not None and not doubtful):
         return None
     if bare is not None:
         asked = [pair for pair in pairs if id(pair) in doubtful]
         motions = [piece.motion for piece in bare.pieces]
-        if not tells_apart_by_load(found.dataset, found.selected.evidence, asked, motions, load):
+        if not tells_apart_by_load(diagnosis.dataset, diagnosis.selected.evidence, asked, motions, load):
             return None
     console.step("checking whether a known mass at the flange settles it")
     loaded = replace(problem, load=load)
-    tried = plan_experiment(found, pairs, loaded, LONGEST, seed, deadline or Deadline(console.progress))
+    tried = plan_experiment(diagnosis, pairs, loaded, LONGEST, seed, deadline or Deadline(console.progress))
     asked_for = [e for e in tried.expected if (id(e.pair) in doubtful if bare else helped(e))]
     best = max(asked_for, key=lambda e: e.after, default=None)
     if best is None or (bare is not None and best.after < LAW.detected):
@@ -95,18 +95,18 @@ def with_a_mass(
     return WithMass(load, (best.pair.first.text(), best.pair.second.text()), best.after, doubtful.get(id(best.pair)))
 
 
-def _doubted(found: Diagnosis, expected: Expected) -> bool:
+def _doubted(diagnosis: Diagnosis, expected: Expected) -> bool:
     """Whether the named cause is hardly distinguished from one that the verdict calls equivalent."""
-    names, equal = found.dataset.robot.joint_names, found.selected.rivals
-    first = found.selected.causes[0].place if found.selected.causes else None
-    one, other = expected.pair.first.place(names), expected.pair.second.place(names)
-    return expected.after < LAW.detected and one == first and other in equal[0]
+    names, equal = diagnosis.dataset.robot.joint_names, diagnosis.selected.rivals
+    first = diagnosis.selected.causes[0].place if diagnosis.selected.causes else None
+    likelier, other = expected.pair.first.place(names), expected.pair.second.place(names)
+    return expected.after < LAW.detected and likelier == first and other in equal[0]
 
 
-def _trial_load(found: Diagnosis, problem: LoopProblem) -> Tool | None:
+def _trial_load(diagnosis: Diagnosis, problem: LoopProblem) -> Tool | None:
     """A light mass for the arm, within its rated payload; None where the tool takes all of that."""
     robot = problem.robot
-    reference = found.dataset.fit.reference
+    reference = diagnosis.dataset.fit.reference
     mounted = 0.0 if problem.tool is None else problem.tool.mass
     allowed = np.inf if robot.rated_payload is None else robot.rated_payload - mounted
     torque = _TRIAL_LOAD * float(np.max(reference.scale))

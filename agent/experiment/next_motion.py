@@ -106,7 +106,7 @@ class NoMotion:
 
 
 def plan_motion(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     recipe: Recipe,
     problem: LoopProblem,
     console: Console,
@@ -126,21 +126,21 @@ def plan_motion(
     Raises:
         InputError: a keep-out box that no motion can keep clear of.
     """
-    pairs = open_pairs(found)
+    pairs = open_pairs(diagnosis)
     if not pairs:
-        return _nothing_to_separate(found)
+        return _nothing_to_separate(diagnosis)
     names = tuple(sorted({name for pair in pairs for name in pair.names if name != "none"}))
-    if found.held is not None:
-        return NoMotion(found.held.motion, names)
+    if diagnosis.held is not None:
+        return NoMotion(diagnosis.held.motion, names)
     deadline = deadline or Deadline(console.progress)
-    problem = _where_known(replace(problem, load=load), found)
+    problem = _where_known(replace(problem, load=load), diagnosis)
     limits = None if load is None else torque_limits(recipe, load, console)
     console.step(f"searching for a motion of at most {seconds:.0f} s that settles the cause")
     runs = RunnablePieces(recipe, name, seconds, load, limits)
     seed = recipe.search.seed
-    experiment = plan_experiment(found, pairs, problem, seconds, seed, deadline.share(0.5), runs)
+    experiment = plan_experiment(diagnosis, pairs, problem, seconds, seed, deadline.share(0.5), runs)
     if runs.motion is not None:
-        brakes = brakes_tell(found, [e.pair for e in experiment.expected])
+        brakes = brakes_tell(diagnosis, [e.pair for e in experiment.expected])
         motion = NextMotion(experiment, runs.motion, recipe.robot, recipe.dialect, load, brakes)
         if motion.helps():
             return motion
@@ -157,16 +157,16 @@ def plan_motion(
         why = _refused(problem)
         return NoMotion(f"no motion found in {where} keeps all limits ({why}): run agent check for details", names)
     why = f" ({runs.refused})" if runs.refused else ""
-    mass = None if load is not None else with_a_mass(found, pairs, problem, seed, console, deadline=deadline.rest())
+    mass = None if load is not None else with_a_mass(diagnosis, pairs, problem, seed, console, deadline=deadline.rest())
     loads = "" if mass is None else f". {mass.text()}"
     first, second = pairs[0].first, pairs[0].second
     what = f"distinguishes {first.text()} from {second.text()}" if second.form is not None else f"shows {first.text()}"
     moving = f"moving the arm cannot settle this: no motion in {where} {what}{why}"
-    return NoMotion(f"{moving}. {other_test(found, pairs)}{loads}", names, mass)
+    return NoMotion(f"{moving}. {other_test(diagnosis, pairs)}{loads}", names, mass)
 
 
 def clearer_with_mass(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     recipe: Recipe,
     problem: LoopProblem,
     motion: NextMotion,
@@ -176,7 +176,7 @@ def clearer_with_mass(
     """A known mass with which a motion separates clearly what this one of the bare arm separates with doubt.
 
     Args:
-        found: diagnosis that leaves pairs open.
+        diagnosis: diagnosis that leaves pairs open.
         recipe: where the motion lies.
         problem: its limits.
         motion: the one planned for the bare arm.
@@ -191,32 +191,32 @@ def clearer_with_mass(
     pairs = [expected.pair for expected in motion.experiment.expected]
     until = None if deadline is None else deadline.rest()
     return with_a_mass(
-        found, pairs, _where_known(problem, found), recipe.search.seed, console, motion.experiment, until
+        diagnosis, pairs, _where_known(problem, diagnosis), recipe.search.seed, console, motion.experiment, until
     )
 
 
-def _nothing_to_separate(found: Diagnosis) -> NoMotion:
+def _nothing_to_separate(diagnosis: Diagnosis) -> NoMotion:
     """No hypothesis is left to separate from another; the cause may be in doubt all the same."""
-    if found.verdict != "ambiguous":
+    if diagnosis.verdict != "ambiguous":
         return NoMotion("nothing is open: no further motion is needed")
-    if not found.selected.causes and (experiment := found.document.next_experiment) is not None:
+    if not diagnosis.selected.causes and (experiment := diagnosis.document.next_experiment) is not None:
         return NoMotion(experiment.motion, experiment.separates)  # between numbers of a simulator's file
-    effect, joints = found.selected.causes[0].place
-    on = ", ".join(found.dataset.robot.joint_names[joint] for joint in joints)
+    effect, joints = diagnosis.selected.causes[0].place
+    on = ", ".join(diagnosis.dataset.robot.joint_names[joint] for joint in joints)
     return NoMotion(
         f"{effect}{f' on {on}' if on else ''} closes too little of the gap to be sure. No motion can be "
         "planned, as no alternative fits. Record a longer, more varied motion in the sub-region (agent record RECIPE)",
-        tuple(sorted({cause.effect.name for cause in found.selected.causes})),
+        tuple(sorted({cause.effect.name for cause in diagnosis.selected.causes})),
     )
 
 
-def _where_known(problem: LoopProblem, found: Diagnosis) -> LoopProblem:
+def _where_known(problem: LoopProblem, diagnosis: Diagnosis) -> LoopProblem:
     """Keep the joints where the external model was fitted and the logs go: elsewhere the model's error is larger."""
-    known = known_positions(found.dataset.model)
-    if known is None or not found.dataset.given:
+    known = known_positions(diagnosis.dataset.model)
+    if known is None or not diagnosis.dataset.given:
         return problem
     ranges = dict(problem.joint_ranges)
-    q = np.concatenate([signals.q for signals in found.dataset.fit.signals])
+    q = np.concatenate([signals.q for signals in diagnosis.dataset.fit.signals])
     for k, (joint, lower, upper) in enumerate(zip(problem.robot.joints, *known, strict=True)):
         low, high = ranges.get(joint.name, (joint.lower, joint.upper))
         low, high = max(low, min(lower, q[:, k].min())), min(high, max(upper, q[:, k].max()))
@@ -276,16 +276,16 @@ class RunnablePieces:
         return text if self._load is None else with_payload(text, self._load, recipe.dialect.comment)
 
 
-def other_test(found: Diagnosis, pairs: Sequence[OpenPair]) -> str:
+def other_test(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> str:
     """What could still distinguish the most urgent pair where no motion does."""
     sides = {side.text(): side.effect for side in (pairs[0].first, pairs[0].second) if side.effect in CATALOGUE}
     looks = "; ".join(f"for {text}, {CATALOGUE[effect].look_at}" for text, effect in sides.items())
-    brakes = f"First, {BRAKES}. If it stays open, try" if brakes_tell(found, pairs[:1]) else "Try"
+    brakes = f"First, {BRAKES}. If it stays open, try" if brakes_tell(diagnosis, pairs[:1]) else "Try"
     return f"{brakes} another posture, load or temperature, or look at the arm: {looks}"
 
 
-def brakes_tell(found: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
+def brakes_tell(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
     """Whether an offset of a torque channel is open and the zero of the channel is not known."""
-    if found.selected.zero_known:
+    if diagnosis.selected.zero_known:
         return False
     return any(name in CATALOGUE and CATALOGUE[name].adds_to_report for pair in pairs for name in pair.names)

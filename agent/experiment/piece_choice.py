@@ -63,7 +63,7 @@ Weighed = tuple[Piece, InformationGain]
 
 
 def plan_experiment(
-    found: Diagnosis,
+    diagnosis: Diagnosis,
     pairs: Sequence[OpenPair],
     problem: LoopProblem,
     seconds: float,
@@ -78,7 +78,7 @@ def plan_experiment(
     while they cannot, the last one is left out.
 
     Args:
-        found: diagnosis that leaves pairs open.
+        diagnosis: diagnosis that leaves pairs open.
         pairs: of hypotheses, the most urgent first.
         problem: sub-region and limits of the motion.
         seconds: longest motion [s].
@@ -89,9 +89,9 @@ def plan_experiment(
     Raises:
         InputError: as `agent.excitation.Candidates`.
     """
-    scorer = ExperimentScorer(found.dataset, found.selected.evidence, pairs, problem.load)
+    scorer = ExperimentScorer(diagnosis.dataset, diagnosis.selected.evidence, pairs, problem.load)
     longest = (1 - _WAYS) * seconds
-    pieces = Pieces(problem, _joints(found, pairs), longest, np.random.default_rng(seed))
+    pieces = Pieces(problem, _joints(diagnosis, pairs), longest, np.random.default_rng(seed))
     pool: list[Weighed] = []
     deadline, cut_short = deadline or Deadline(), True
     with suppress(OutOfTime):
@@ -107,7 +107,7 @@ def plan_experiment(
         return Experiment((), (), len(pool), cut_short)
     chosen = _varied(scorer, pieces, _greedy(scorer, pool, longest / 2, asked), longest / 2, asked, deadline)
     design = together(
-        d_optimal(found.dataset, scorer.model_information),
+        d_optimal(diagnosis.dataset, scorer.model_information),
         [piece for piece, _ in pool],
         longest,
         [piece for piece, _ in chosen],
@@ -154,9 +154,9 @@ def _known(chances: np.ndarray) -> tuple[float | None, float | None]:
     return first, second
 
 
-def _joints(found: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:
+def _joints(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> list[int]:
     """Joints that the hypotheses sit on; all of them where every one is of the whole arm."""
-    names = found.dataset.robot.joint_names
+    names = diagnosis.dataset.robot.joint_names
     sides = [side for pair in pairs for side in (pair.first, pair.second) if side.form is not None]
     return sorted({names.index(joint) for side in sides for joint in side.joints}) or list(range(len(names)))
 
@@ -165,8 +165,10 @@ def _greedy(scorer: ExperimentScorer, pool: Sequence[Weighed], seconds: float, a
     chosen: list[Weighed] = []
     now = _utility(scorer, chosen, asked)
     while True:
-        left = seconds - sum(piece.duration for piece, _ in chosen)
-        options = [entry for entry in pool if entry[0].duration <= left and all(entry[0] is not c[0] for c in chosen)]
+        remaining = seconds - sum(piece.duration for piece, _ in chosen)
+        options = [
+            entry for entry in pool if entry[0].duration <= remaining and all(entry[0] is not c[0] for c in chosen)
+        ]
         if not options:
             break
         worth = [_utility(scorer, [*chosen, entry], asked) for entry in options]

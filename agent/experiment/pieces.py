@@ -139,10 +139,10 @@ class Pieces:
         """The piece, or None where a limit, the cell or the sub-region is in the way or it takes too long."""
         draw = replace(draw, speed=max(round(100 * draw.speed), 1) / 100)  # controllers take whole percents
         try:
-            found = self._reversals(draw) if draw.kind == "reversals" else self._loop(draw)
-            if found is None:
+            planned = self._reversals(draw) if draw.kind == "reversals" else self._loop(draw)
+            if planned is None:
                 return None
-            draw, start, statements = found
+            draw, start, statements = planned
             trajectory = self._interpolator.plan(statements, start)
         except (MotionError, KinematicsError):
             return None

@@ -49,54 +49,54 @@ class OpenPair:
         return self.first.effect, self.second.effect
 
 
-def open_pairs(found: Diagnosis) -> list[OpenPair]:
+def open_pairs(diagnosis: Diagnosis) -> list[OpenPair]:
     """Return what is open after a diagnosis, most urgent first; nothing where everything is settled.
 
     `ambiguous`: every cause against what equals it. `unknown`: the leading effects against each other. Where nothing
     else is open: effects that these logs would not have shown at their practical size, against none.
     """
-    if found.verdict == "ambiguous":
-        return list(_rivals(found))
-    if found.verdict == "unknown":
-        return list(_leading(found))
-    return list(_untested(found))
+    if diagnosis.verdict == "ambiguous":
+        return list(_rivals(diagnosis))
+    if diagnosis.verdict == "unknown":
+        return list(_leading(diagnosis))
+    return list(_untested(diagnosis))
 
 
-def _rivals(found: Diagnosis) -> Iterator[OpenPair]:
-    selected = found.selected
+def _rivals(diagnosis: Diagnosis) -> Iterator[OpenPair]:
+    selected = diagnosis.selected
     for number, (cause, rivals) in enumerate(zip(selected.causes, selected.rivals, strict=True)):
         shared = tuple(c for k, c in enumerate(selected.causes) if k != number)
-        forms = [cause, *(form for place in rivals if (form := _leading_form(found, place)) is not None)]
-        for first, second in combinations([_side(found, form, shared) for form in forms], 2):
+        forms = [cause, *(form for place in rivals if (form := _leading_form(diagnosis, place)) is not None)]
+        for first, second in combinations([_side(diagnosis, form, shared) for form in forms], 2):
             yield OpenPair(first, second, shared)
 
 
-def _leading_form(found: Diagnosis, place: HypothesisKey) -> Candidate | None:
+def _leading_form(diagnosis: Diagnosis, place: HypothesisKey) -> Candidate | None:
     """The form of an effect in the likeliest hypothesis that has it."""
-    forms = (c for hypothesis in found.selected.hypotheses for c in hypothesis.effects if c.place == place)
+    forms = (c for hypothesis in diagnosis.selected.hypotheses for c in hypothesis.effects if c.place == place)
     return next(forms, None)
 
 
-def _side(found: Diagnosis, form: Candidate, shared: Sequence[Candidate]) -> Side:
-    values = found.dataset.fit.with_chosen((*shared, form)).values[-1]
-    names = found.dataset.robot.joint_names
+def _side(diagnosis: Diagnosis, form: Candidate, shared: Sequence[Candidate]) -> Side:
+    values = diagnosis.dataset.fit.with_chosen((*shared, form)).values[-1]
+    names = diagnosis.dataset.robot.joint_names
     return Side(form.effect.name, tuple(names[k] for k in form.joints), form, values)
 
 
-def _leading(found: Diagnosis) -> Iterator[OpenPair]:
-    ordered = sorted(found.selected.hypotheses, key=lambda h: -h.log_bayes_factor)
+def _leading(diagnosis: Diagnosis) -> Iterator[OpenPair]:
+    ordered = sorted(diagnosis.selected.hypotheses, key=lambda h: -h.log_bayes_factor)
     singles = [h.effects[0] for h in ordered if len(h.effects) == 1]
-    for first, second in combinations([_side(found, form, ()) for form in singles[:_LEADING]], 2):
+    for first, second in combinations([_side(diagnosis, form, ()) for form in singles[:_LEADING]], 2):
         yield OpenPair(first, second)
 
 
-def _untested(found: Diagnosis) -> Iterator[OpenPair]:
-    fit, names = found.dataset.fit, found.dataset.robot.joint_names
+def _untested(diagnosis: Diagnosis) -> Iterator[OpenPair]:
+    fit, names = diagnosis.dataset.fit, diagnosis.dataset.robot.joint_names
     nothing, count = Side("none", (), None, np.empty(0)), 0
-    for entry in found.document.not_testable:
+    for entry in diagnosis.document.not_testable:
         effect = CATALOGUE[entry.effect]
         joints = () if entry.joint is None else tuple(names.index(name) for name in entry.joint.split(", "))
-        if effect.transient or effect.shows_in != "torque" or joints not in effect.places(found.dataset.robot):
+        if effect.transient or effect.shows_in != "torque" or joints not in effect.places(diagnosis.dataset.robot):
             continue
         if not (settings := effect.settings(fit, joints)):
             continue

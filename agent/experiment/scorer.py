@@ -56,9 +56,9 @@ class ExperimentScorer:
         bare = dataset.fit.reference
         self._reference = bare if load is None else NominalModel(dataset.model, load)
         sides = [(*pair.shared, pair.first.form, pair.second.form) for pair in pairs]
-        self._forms = [one for one in dict.fromkeys(one for side in sides for one in side) if one is not None]
+        self._forms = [form for form in dict.fromkeys(form for side in sides for form in side) if form is not None]
         self._known, self._prior, ends = evidence.information(self._forms)
-        self._place = {one: np.arange(a, b) for one, (a, b) in zip(self._forms, pairwise(ends), strict=True)}
+        self._place = {form: np.arange(a, b) for form, (a, b) in zip(self._forms, pairwise(ends), strict=True)}
         self._reached = MotionCoverage.of(dataset.fit.signals)
 
     @property
@@ -75,7 +75,7 @@ class ExperimentScorer:
     def told(self, motion: GridMotion) -> InformationGain:
         """Information that a motion adds."""
         dataset, evidence = self.dataset, self._evidence
-        fast = any(one.effect.fast_torque for one in self._forms)
+        fast = any(form.effect.fast_torque for form in self._forms)
         motion = motion if fast else _thinned(motion)
         log, after = len(dataset.logs), max(s.started + float(s.time[-1]) for s in dataset.fit.signals)
         signals = MotionSignals(self._reference, motion.time, motion.q, motion.qd, motion.qdd, log, started=after)
@@ -100,9 +100,9 @@ class ExperimentScorer:
         dataset = self.dataset
         low_pass = _low_pass(rate, dataset)
         blocks = []
-        for one in self._forms:
-            effect, joints, settings = one.effect, one.joints, one.settings
-            block = np.zeros((*motion.q.shape, len(one.names)))
+        for form in self._forms:
+            effect, joints, settings = form.effect, form.joints, form.settings
+            block = np.zeros((*motion.q.shape, len(form.names)))
             if not effect.fast_torque:  # that remembers no earlier motion
                 effect.prepare([*dataset.fit.signals, signals], [(joints, settings)])
             for joint, values in effect.columns(signals, joints, settings).items():
@@ -138,7 +138,7 @@ class ExperimentScorer:
         reached = self._reached + added.coverage
         if reached.lacking(true.form.effect, true.form.joints):
             return 0.0
-        free = [np.arange(model), *(self._place[one] for one in pair.shared)]
+        free = [np.arange(model), *(self._place[form] for form in pair.shared)]
         if rival.form is not None and not reached.lacking(rival.form.effect, rival.form.joints):
             free.append(self._place[rival.form])
         at, place = np.concatenate(free), self._place[true.form]
@@ -219,9 +219,9 @@ def tells_apart_by_load(
         motions: the same without and with the load.
         load: known mass at the flange.
     """
-    bare, loaded = (ExperimentScorer(dataset, evidence, pairs, one) for one in (None, load))
+    bare, loaded = (ExperimentScorer(dataset, evidence, pairs, mass) for mass in (None, load))
     first, second = (
-        np.nan_to_num(one.evidence(sum((one.told(motion) for motion in motions), one.nothing)))
-        for one in (bare, loaded)
+        np.nan_to_num(scorer.evidence(sum((scorer.told(motion) for motion in motions), scorer.nothing)))
+        for scorer in (bare, loaded)
     )
     return bool(np.any(second > _LOADED * first))

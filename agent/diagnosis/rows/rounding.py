@@ -10,7 +10,7 @@ from agent.model import NominalModel
 from agent.recording import Log
 
 _POSTURES = 20  # numerical: of a log, for its mean inertia
-_ON_GRID = 0.01  # steps off the grid that count as on it
+_ON_GRID = 0.01  # numerical: steps off the grid that count as on it
 _UNIFORM = 1 / 12  # derived: variance of an error within half a step, in steps squared
 _FIFTH = 1 / 5  # derived: ∫₀¹ x⁴ dx
 

@@ -25,6 +25,7 @@ from agent.robot import RobotDescription
 
 #: Below the least what the coupled axle rubs is no other than what it rubs by itself.
 _RATIOS = tuple(np.geomspace(0.04, 2.0, 13).tolist())
+_WRIST = 3  # derived: axes that meet in a wrist
 _FEW_RATIOS = _RATIOS[::3]
 _PARTS = ("coupling", "filtered coupling")  # names of what a motion remembers
 
@@ -60,7 +61,7 @@ class WristCoupling(Effect):
     nonlinear = ("ratio",)
 
     def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
-        first = max(0, robot.dof - 3)
+        first = max(0, robot.dof - _WRIST)
         return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
