@@ -201,21 +201,20 @@ def noise_level(
     reference: NominalModel,
     moving: np.ndarray,
     signals: Sequence[MotionSignals],
-    beside: Sequence[MotionSignals] = (),
+    others: Sequence[MotionSignals] = (),
 ) -> np.ndarray:
     """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill (`LIMITS.independent`).
 
     At a standstill, stiction allows any torque below the Coulomb level.
-    `beside`: see `standing`.
 
     Args:
         reference: model whose Coulomb levels count.
         moving: (n,) held-out error of moving joints [N·m].
         signals: filtered motions, whose rows are returned.
-        beside: other motions of the same arm, as for `standing`.
+        others: motions of the same arm, as for `standing`.
     """
     still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
-    found = standing(signals, beside)
+    found = standing(signals, others)
     rest = np.concatenate([still[s.kept] for s, still in zip(signals, found, strict=True)])
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
     reach = int(0.5 * LIMITS.independent * rate)

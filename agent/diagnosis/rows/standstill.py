@@ -12,12 +12,12 @@ from agent.diagnosis.limits import LIMITS
 from agent.model import MotionSignals, standstill_speed
 
 
-def standing(signals: Sequence[MotionSignals], beside: Sequence[MotionSignals] = ()) -> list[np.ndarray]:
+def standing(signals: Sequence[MotionSignals], others: Sequence[MotionSignals] = ()) -> list[np.ndarray]:
     """Per motion (S, n) bool: whether a joint is stationary. A joint that never travels always is, whatever its noise.
 
-    `beside` are other motions of the same arm: the speed threshold depends on the joint's highest speed in all motions.
+    `others` are other motions of the same arm: the speed threshold depends on the joint's highest speed in all motions.
     """
-    known = [*beside, *signals]
+    known = [*others, *signals]
     slowest = standstill_speed([motion.qd for motion in known], known[0].reference.robot.max_velocity)
     slowest = np.where(moves(known), slowest, np.inf)
     return [np.abs(motion.qd) <= slowest for motion in signals]
