@@ -1,4 +1,5 @@
 from .kinematics import apart as apart, forward_and_jacobian as forward_and_jacobian
+from .linear_response import stepped as stepped
 from .paths import derivatives as derivatives, not_a_knot as not_a_knot, products as products
 from .play import driven_through_play as driven_through_play
 from .profile import fastest as fastest, growth as growth, held as held, law_at as law_at, lowered as lowered

@@ -143,6 +143,20 @@ def test_how_a_log_begins_is_simulated_and_not_judged(source):
     assert len(later.signals.time[later.signals.kept]) == len(log.t) - left
 
 
+def test_a_row_is_the_mean_of_a_tenth_of_a_second_and_hides_less_by_rounding(source):
+    log = recorded(source, 1)
+    simulator = load_simulator(source, None, log.joint_names, None)
+    free, (stretch,) = FreeSimulator(simulator.arm), stretches_of([log], True, settling=0.5)
+    line = stretch.linearised(free, free.numbers, stretch.run(free, free.numbers), NominalModel(simulator.model))
+    time = stretch.averaged(log.t[stretch.judged])
+    np.testing.assert_allclose(np.diff(time), 0.1, rtol=1e-9)
+    np.testing.assert_allclose(line.motion.time[line.rows], time, atol=0.5 / RATE)
+    simulated = line.motion.at(log.t[stretch.judged])
+    rounding = np.round(simulated / 0.0015) * 0.0015 - simulated
+    each, mean = (np.sqrt(np.mean(part**2, axis=0)) for part in (rounding, stretch.averaged(rounding)))
+    assert np.all(mean < 0.7 * each)
+
+
 def test_the_linear_response_is_the_change_of_the_simulated_motion(source):
     log = recorded(source, 1)
     simulator = load_simulator(source, None, log.joint_names, None)

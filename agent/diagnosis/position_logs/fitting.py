@@ -109,10 +109,9 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
     return np.concatenate([servos.ravel(), mass * np.array([1.0, *[reference.reach] * 3])])
 
 
-def rounding_error(stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(n,) error of positions by their rounding [rad or m]."""
-    steps = [[rounding_step(column) for column in one.position.T] for one in stretches]
-    return np.asarray(np.max(steps, axis=0) / np.sqrt(12))
+def position_step(stretches: Sequence[CommandedStretch]) -> np.ndarray:
+    """(n,) step to which positions are rounded [rad or m]."""
+    return np.asarray(np.max([[rounding_step(column) for column in one.position.T] for one in stretches], axis=0))
 
 
 def usual_twist(motions: Sequence[FreeMotion], kp: np.ndarray) -> np.ndarray:
@@ -147,7 +146,7 @@ def fit_output_error(
     if first is None:
         raise InputError(f"{simulator.arm.path}: the simulator blows up under the recorded command as the file is")
     motions: list[FreeMotion] = first
-    sigma = np.hypot(rounding_error(stretches), LIMITS.least_error * usual_twist(motions, start.kp))
+    sigma = np.hypot(position_step(stretches) / np.sqrt(12), LIMITS.least_error * usual_twist(motions, start.kp))
     x = np.linalg.lstsq(basis, table - np.append(file.table, none), rcond=None)[0]
     weight, residuals = 1e-2, _left(stretches, motions)
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import InputError
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.response import LinearResponse
 from agent.diagnosis.rows.rounding import rounding_step
 from agent.model import MotionSignals, NominalModel
@@ -18,6 +19,7 @@ from agent.simulators import FreeMotion, FreeSimulator, RecordedCommand, ServoNu
 
 _STEP = 5e-3  # s, at most, between the instants of the linearised motion
 _FEWEST = 50  # samples of a stretch that is used
+_FEWEST_ROWS = 3  # of a stretch that is used
 _FAR = 1.5  # rad or m from the set-points in the middle: they are of another unit or zero
 _MOVES = 1e-2  # rad or m that a joint travels to count as moving
 
@@ -46,6 +48,16 @@ class CommandedStretch:
         """The free motion over this stretch."""
         q, qd = np.split(self.start, 2)
         return simulator.run(numbers, self.command, (float(self.time[0]), q, qd), float(self.time[-1]))
+
+    @property
+    def frames(self) -> int:
+        """Frames that make a row: those of the time between independent rows."""
+        return max(1, round(LIMITS.independent / float(np.median(np.diff(self.time)))))
+
+    def averaged(self, frames: np.ndarray) -> np.ndarray:
+        """(R, …) means over the frames of each row, of the judged frames (S', …)."""
+        count = len(frames) // self.frames
+        return np.asarray(frames[: count * self.frames].reshape(count, self.frames, *frames.shape[1:]).mean(axis=1))
 
     @property
     def grid(self) -> tuple[np.ndarray, int]:
@@ -100,6 +112,14 @@ class LinearisedMotion:
             found[:, :, j::n] = self.response.of_torque({j: block})
         return found
 
+    @property
+    def rows(self) -> slice:
+        """Those of the instants that are in the middle of a row."""
+        stretch, every = self.stretch, self.stretch.grid[1]
+        count = (len(stretch.time) - stretch.unsettled) // stretch.frames
+        first = (stretch.unsettled + (stretch.frames - 1) // 2) * every
+        return slice(first, first + count * stretch.frames * every, stretch.frames * every)
+
     def load_columns(self, shape: np.ndarray) -> np.ndarray:
         """(S', n, K) change of the judged positions with a load: what its link gains, `shape` (10, K), per unit."""
         robot = self.signals.reference.robot
@@ -133,11 +153,14 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
             steps = np.array([rounding_step(column) for column in q.T])
             speed = np.where(np.abs(q[1] - q[0]) > 1.5 * steps, q[1] - q[0], 0.0) / (t[1] - t[0])
             command, begins = RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed])
-            found.append(CommandedStretch(index, t, q, command, begins, int(np.searchsorted(t, t[0] + settling))))
+            stretch = CommandedStretch(index, t, q, command, begins, int(np.searchsorted(t, t[0] + settling)))
+            if len(t) - stretch.unsettled >= _FEWEST_ROWS * stretch.frames:
+                found.append(stretch)
     if not found:
         raise InputError(
-            f"{logs[0].path}: no stretch of {_FEWEST} samples has positions and set-points on the same stamps; record "
-            "what was commanded together with the positions"
+            f"{logs[0].path}: no stretch of {_FEWEST} samples, {_FEWEST_ROWS * LIMITS.independent:g} s of them after "
+            "the servos have settled, has positions and set-points on the same stamps; record longer, and record what "
+            "was commanded together with the positions"
         )
     return tuple(found)
 

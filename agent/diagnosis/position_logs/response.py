@@ -87,15 +87,11 @@ class LinearResponse:
         return np.concatenate(parts, axis=2)
 
     def _stepped(self, columns: Mapping[int, np.ndarray]) -> np.ndarray:
+        from agent.compiled import stepped
+
         a, b = self._steps
-        n, joints = self.damping.shape[1], list(columns)
-        state = np.zeros((2 * n, columns[joints[0]].shape[1]))
-        push = np.stack([(block[1:] + block[:-1]) / 2 for block in columns.values()], axis=1)
-        b = np.ascontiguousarray(b[:, :, joints])
+        push = np.stack([(block[1:] + block[:-1]) / 2 for block in columns.values()], axis=1).astype(float, order="C")
         kept = range(len(self.time))[self.kept]
-        found = [state[:n]] if 0 in kept else []
-        for k in range(len(a)):
-            state = a[k] @ state + b[k] @ push[k]
-            if k + 1 in kept:
-                found.append(state[:n])
-        return np.stack(found)
+        entry = np.ascontiguousarray(b[:, :, list(columns)])
+        found = stepped(a, entry, push, kept.start, kept.step, self.damping.shape[1])
+        return np.asarray(found[: len(kept)])

@@ -2,6 +2,9 @@
 
 The fit is linear about the numbers of `OutputErrorFit`, θ. Residuals are carried over to the file's own numbers by the
 same derivatives, e + X (θ − θ_file): numbers are released and effects are tried from the file on, as with torque.
+
+A row is the mean over `LIMITS.independent`. Rounding and jitter of stamps differ from frame to frame, so most of them
+goes, and what differs for longer stays.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.fitting import OutputErrorFit, missed, rounding_error, usual_twist, with_link
+from agent.diagnosis.position_logs.fitting import OutputErrorFit, missed, position_step, usual_twist, with_link
 from agent.diagnosis.position_logs.recording import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of, segments_of
 from agent.diagnosis.rows.fit import Fit
@@ -52,11 +55,11 @@ def assemble_positions(
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     signals = []
     for line, left, numbers in zip(found.motions, found.residuals, found.columns, strict=True):
-        columns = model_columns(line, reference, numbers)
+        columns, left = (line.stretch.averaged(x) for x in (model_columns(line, reference, numbers), left))
         at_file = left + columns @ away
         for j in range(n):
             rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
-        signals.append(replace(line.signals, reference=reference, answer=_answer(line)))
+        signals.append(replace(line.signals, reference=reference, answer=_answer(line), kept=line.rows))
     joined = [np.concatenate(part) for part in rows]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
@@ -95,11 +98,11 @@ def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.n
 
 
 def _as_given(found: OutputErrorFit) -> np.ndarray:
-    """(S', n) residual of the file as it is: its own free motion."""
+    """(R, n) residual of the file as it is: its own free motion."""
     parts = []
     for one in found.stretches:
         motion = one.run(found.simulator, found.simulator.numbers)
-        parts.append(one.position[one.judged] if motion is None else missed(one, motion))
+        parts.append(one.averaged(one.position[one.judged] if motion is None else missed(one, motion)))
     return np.concatenate(parts)
 
 
@@ -108,18 +111,29 @@ def _expected_error(found: OutputErrorFit) -> np.ndarray:
 
     The share is that of the joint in the middle, as with torque (`explanation.with_expected_error`).
     """
-    rounding = rounding_error(found.stretches)
+    rounding = _rounding(found)
     twist = usual_twist([line.motion for line in found.motions], found.numbers.kp)
-    left = np.sqrt(np.maximum(found.rmse**2 - rounding**2, 0.0))
+    rows = [one.averaged(left) for one, left in zip(found.stretches, found.residuals, strict=True)]
+    left = np.sqrt(np.maximum(np.mean(np.concatenate(rows) ** 2, axis=0) - rounding**2, 0.0))
     share = float(np.clip(1.5 * np.median(left / twist), LIMITS.least_error, LIMITS.unknown_error))
     return np.hypot(rounding, share * twist)
+
+
+def _rounding(found: OutputErrorFit) -> np.ndarray:
+    """(n,) [rad or m] error of a row by rounding: it stays where a joint rests."""
+    step = np.maximum(position_step(found.stretches), 1e-300)
+    parts = []
+    for one, left in zip(found.stretches, found.residuals, strict=True):
+        simulated = one.position[one.judged] - left
+        parts.append(one.averaged(step * np.round(simulated / step) - simulated))
+    return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))
 
 
 def _answer(line: LinearisedMotion) -> Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]]:
     """What the positions of all joints show of torque columns."""
 
     def answer(columns: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
-        moved = line.response.of_torque(columns)
+        moved = line.stretch.averaged(line.response.of_torque(columns))
         return {j: moved[:, j] for j in range(moved.shape[1])}
 
     return answer

@@ -18,6 +18,7 @@ from scipy.special import ndtr
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
 from agent.diagnosis.position_logs.rows import model_columns
 from agent.diagnosis.rows.candidate import Candidate
@@ -26,7 +27,6 @@ from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import CATALOGUE
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, Simulator
 
-_INDEPENDENT = 0.1  # s between independent rows, as in `Fit`
 _FLAT = 1e-6  # of the information on an effect's parameter: its prior
 #: Kinds of numbers that an effect is, by `Effect.numbers`.
 _KINDS = {
@@ -153,7 +153,7 @@ def _of_logs(found: Diagnosis, forms: Sequence[Candidate]) -> np.ndarray:
         np.hstack([part[:, :-1], *(form.blocks.get(j, np.zeros((len(part), len(form.names)))) for form in forms)])
         for j, part in enumerate(rows)
     ]
-    return np.asarray(sum(block.T @ block for block in blocks) / (found.dataset.rate * _INDEPENDENT))
+    return np.asarray(sum(block.T @ block for block in blocks) / (found.dataset.rate * LIMITS.independent))
 
 
 def _of_motion(found: Diagnosis, line: LinearisedMotion, numbers: np.ndarray, forms: Sequence[Candidate]) -> np.ndarray:
@@ -166,7 +166,7 @@ def _of_motion(found: Diagnosis, line: LinearisedMotion, numbers: np.ndarray, fo
     rows = np.concatenate(columns, axis=2) / found.dataset.fit.sigma.min(axis=0)[:, None]
     rate = 1 / float(np.median(np.diff(line.stretch.time)))
     flat = rows.reshape(-1, rows.shape[2])
-    return np.asarray(flat.T @ flat / max(rate * _INDEPENDENT, 1.0))
+    return np.asarray(flat.T @ flat / max(rate * LIMITS.independent, 1.0))
 
 
 def _line(

@@ -14,6 +14,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.data_quality import unsigned_torque
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.fitting import OutputErrorFit, Parameters, fit_output_error, usual_scale
 from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
 from agent.diagnosis.position_logs.rows import assemble_positions
@@ -24,7 +25,6 @@ from agent.recording import HELD, HOLD, SMOOTH, Log
 from agent.simulators import FreeSimulator, Simulator
 
 _ROUGH, _FINE = 0.05, 1e-3  # of the cost: a fit gains less in its last round
-_INDEPENDENT = 0.1  # s between independent rows, as in `Fit`
 _CHANCE = 1.92  # of a log-likelihood: χ² of one number at 95 %, halved (Wilks)
 _CHANCE_OF_LOAD = 4.74  # the same of four numbers
 _SETTLED = 4.0  # time constants of a servo, after which 2 % of a start is left
@@ -146,7 +146,7 @@ def _loaded(
 def _gain(found: OutputErrorFit, other: OutputErrorFit) -> float:
     """Log-likelihood that another fit gains, where the error of each joint is unknown."""
     lasting = sum(float(one.time[-1] - one.time[0]) for one in found.stretches)
-    return lasting / _INDEPENDENT * float(np.sum(np.log(found.rmse) - np.log(other.rmse)))
+    return lasting / LIMITS.independent * float(np.sum(np.log(found.rmse) - np.log(other.rmse)))
 
 
 def _frame(stretches: Sequence[CommandedStretch]) -> float:
