@@ -18,6 +18,6 @@ def endpoints(driver: str, address: str) -> tuple[str, ...]:
         if isinstance(made, NamesEndpoints):
             return made.endpoints()
         place, comma, options = address.partition(",")
-        return tuple(f"{one}{comma}{options}" for one in socket_endpoints(*parse_address(place.strip())))
+        return tuple(f"{endpoint}{comma}{options}" for endpoint in socket_endpoints(*parse_address(place.strip())))
     except ConfigurationError:  # an address that no driver takes, or that this one refuses
         return (f"{driver}|{address}",)

@@ -49,7 +49,7 @@ def create(name: str, address: str, **options: object) -> Driver:
         others = ", ".join(other for other in available() if other != name)
         raise ConfigurationError(f"there is no driver {name!r}; there are: {others}")
     driver = factory(address, **options)
-    if missing := sorted(one for one in set(vars(Driver)) - set(dir(driver)) if not one.startswith("_")):
+    if missing := sorted(method for method in set(vars(Driver)) - set(dir(driver)) if not method.startswith("_")):
         raise ConfigurationError(f"driver {name!r} lacks a method of drivers.protocol.Driver: {', '.join(missing)}")
     return driver
 

@@ -34,8 +34,8 @@ def refuse_in_address(address: str) -> None:
     Raises:
         ConfigurationError: it holds one. The message says where to store it, and does not repeat it.
     """
-    rest = _PLACE.sub("", address)
-    if _OPTION.search(rest) or _USER.search(rest):
+    remainder = _PLACE.sub("", address)
+    if _OPTION.search(remainder) or _USER.search(remainder):
         raise ConfigurationError(f"the address holds a password; {ADVICE}")
 
 

@@ -33,8 +33,8 @@ def place_of(address: str) -> str:
     """The target of an address, for people. Its options are not shown, whatever their names: one may be a password."""
     text = printable(address, NAME)
     head = re.split(r"[,;?#&\s]", text, maxsplit=1)[0]
-    found = None if "@" in text or "=" in head else _IP.fullmatch(head) or _PLACE.match(head)
-    place = found[0] if found else ""
+    match = None if "@" in text or "=" in head else _IP.fullmatch(head) or _PLACE.match(head)
+    place = match[0] if match else ""
     return place if place == text else f"{place},…"
 
 

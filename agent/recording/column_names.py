@@ -27,7 +27,7 @@ def _common_part(column: list[str], joint: list[str]) -> int:
 
 def named_joints(columns: Sequence[str], joints: Sequence[str]) -> list[str] | None:
     """The joint of each column by its name; None where a column names none, or two columns the same."""
-    found = []
+    named = []
     for column in map(_tokens, columns):
         sizes = []
         for joint in map(_tokens, joints):
@@ -36,8 +36,8 @@ def named_joints(columns: Sequence[str], joints: Sequence[str]) -> list[str] | N
         best = max(sizes, default=0)
         if best == 0 or sizes.count(best) > 1:
             return None
-        found.append(joints[sizes.index(best)])
-    return found if len(set(found)) == len(found) else None
+        named.append(joints[sizes.index(best)])
+    return named if len(set(named)) == len(named) else None
 
 
 def prefixed(joints: Sequence[str], known: Collection[str]) -> dict[str, str]:
@@ -54,5 +54,5 @@ def prefixed(joints: Sequence[str], known: Collection[str]) -> dict[str, str]:
 
 def prefixes_of(joints: Sequence[str], known: Collection[str]) -> list[str]:
     """What stands before all of the joints in known names, such as `left_` and `right_`."""
-    found = {name.removesuffix(joints[0]) for name in known if joints and name.endswith(joints[0])}
-    return sorted(prefix for prefix in found if all(prefix + joint in known for joint in joints))
+    prefixes = {name.removesuffix(joints[0]) for name in known if joints and name.endswith(joints[0])}
+    return sorted(prefix for prefix in prefixes if all(prefix + joint in known for joint in joints))

@@ -26,7 +26,7 @@ class CommandedPositions:
 
 
 def commanded(
-    found: Scan,
+    scanned: Scan,
     states: Sequence[str],
     names: Sequence[str],
     stamp: np.ndarray,
@@ -42,15 +42,15 @@ def commanded(
     Raises:
         InputError: the wanted topic has no set-points of these joints.
     """
-    offers = {**found.set_points, **found.commands}
+    offers = {**scanned.set_points, **scanned.commands}
     fitting = {topic: rows for topic, groups in offers.items() if (rows := _columns(groups, names)) is not None}
     if wanted is not None and wanted in offers and wanted not in states:
         if wanted not in fitting:
             raise InputError(f"{wanted}: holds no set-points of {', '.join(names)}")
         fitting = {wanted: fitting[wanted]}
-    for several in ([t for t in fitting if t in states], [t for t in fitting if t in found.set_points], [*fitting]):
+    for several in ([t for t in fitting if t in states], [t for t in fitting if t in scanned.set_points], [*fitting]):
         if len(several) == 1:
-            taken = _on_stamps(found, several[0], fitting[several[0]], stamp, position, late)
+            taken = _on_stamps(scanned, several[0], fitting[several[0]], stamp, position, late)
             return replace(taken, repairs=()) if several[0] in states and taken.values is not None else taken
         if several:
             kind = f"several topics of set-points, none taken; choose one with --topic: {', '.join(several)}; topics"
@@ -90,18 +90,18 @@ def _columns(groups: Sequence[Messages], names: Sequence[str]) -> _Rows | None:
 
 
 def _on_stamps(
-    found: Scan, topic: str, rows: _Rows, stamp: np.ndarray, position: np.ndarray, late: int
+    scanned: Scan, topic: str, rows: _Rows, stamp: np.ndarray, position: np.ndarray, late: int
 ) -> CommandedPositions:
     """Set-points at the stamps of the samples."""
     late = late if rows.received else 0
     at, sent = rows.stamp - late, rows.sent - late
     if len(at) < 2:
         return CommandedPositions(repairs=(Repair(f"{topic}: too few set-points, left out", 0.0, len(at)),))
-    steps = topic in found.commands and np.array_equal(at, sent)
+    steps = topic in scanned.commands and np.array_equal(at, sent)
     if steps:
         values = held(stamp, at, rows.values)
     else:
-        at, knots = _followed(at, sent, rows.values) if topic in found.commands else (at, rows.values)
+        at, knots = _followed(at, sent, rows.values) if topic in scanned.commands else (at, rows.values)
         at, first = np.unique(at, return_index=True)
         values = interpolated(stamp, at, knots[first])
     known = np.all(np.isfinite(values), axis=1)

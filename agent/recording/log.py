@@ -49,8 +49,8 @@ class Repair:
     @classmethod
     def of(cls, kind: str, times: np.ndarray, which: Any = slice(None)) -> list[Repair]:
         """One for samples at times (S,) [s], by mask or number, at the earliest of them; none where there are none."""
-        found = times[which]
-        return [cls(kind, float(found.min()), len(found))] if len(found) else []
+        moments = times[which]
+        return [cls(kind, float(moments.min()), len(moments))] if len(moments) else []
 
 
 @dataclass(frozen=True, eq=False)

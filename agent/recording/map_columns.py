@@ -68,10 +68,10 @@ class Source:
 
     def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Time (S,) [s] of the rows, and the columns (S, k) of each quantity that the mapping names, of `rows` too."""
-        found = {key: self._found(key, columns) for key in ARRAYS if (columns := getattr(self.mapping.entries, key))}
+        by_key = {key: self._found(key, columns) for key in ARRAYS if (columns := getattr(self.mapping.entries, key))}
         if (wanted := self.mapping.entries.rows) is not None:
-            found["rows"] = self._columns("rows", "rows.column", wanted.file, [wanted.column])
-        columns = [(key, table, column) for key, pairs in found.items() for table, column in pairs]
+            by_key["rows"] = self._columns("rows", "rows.column", wanted.file, [wanted.column])
+        columns = [(key, table, column) for key, pairs in by_key.items() for table, column in pairs]
         if self.mapping.entries.rate is not None:
             time = np.arange(max(len(column) for *_, column in columns)) / self.mapping.entries.rate
             arrays = self._row_by_row(columns, {"": time})[1:]
@@ -79,7 +79,7 @@ class Source:
         else:
             time, *arrays = self._by_time(columns)
         time = time[: len(arrays[0])]
-        stacked = {key: [a for (k, *_), a in zip(columns, arrays, strict=True) if k == key] for key in found}
+        stacked = {key: [a for (k, *_), a in zip(columns, arrays, strict=True) if k == key] for key in by_key}
         return time, {key: np.column_stack(parts) for key, parts in stacked.items()}
 
     def _by_time(self, columns: Sequence[tuple[str, ColumnTable, np.ndarray]]) -> list[np.ndarray]:
@@ -96,18 +96,18 @@ class Source:
             clocks[id(table)] = self._clock(table, key) if own and used else first
         self.clock = str(clock_table.path)
         shared = [column for column in columns if clocks[id(column[1])] is first]
-        short, *rest = self._row_by_row(shared, {"time": first}) if shared else [first]
-        by_row, timed = iter(rest), []
+        short, *others = self._row_by_row(shared, {"time": first}) if shared else [first]
+        by_row, timed = iter(others), []
         for what, table, column in columns:
             time = clocks[id(table)]
             time, values = (short, next(by_row)) if time is first else (time, column)
             rows = min(len(time), len(values))
             timed.append(TimedColumn(time[:rows] if rows < len(time) else time, values[:rows], what != "rows"))
         if one_clock(timed):
-            return [timed[0].time, *(one.values for one in timed)]
+            return [timed[0].time, *(each.values for each in timed)]
         joined = join(timed)
         if joined is None:
-            ranges = {table.path.name: one.known.time for (_, table, _), one in zip(columns, timed, strict=True)}
+            ranges = {table.path.name: each.known.time for (_, table, _), each in zip(columns, timed, strict=True)}
             spans = "; ".join(f"{name} {t[0]:.10g} s to {t[-1]:.10g} s" for name, t in ranges.items() if len(t))
             self.mapping.fault(key, f"the columns have no time in common ({spans}): are clocks and units the same?")
         time, arrays = joined
@@ -258,19 +258,19 @@ class Source:
                 self.mapping.fault(f"{key}.columns", "; ".join(table.missing(names) for table in self.tables))
             what = f"{counted(len(names), 'column')} for {counted(n, 'joint')} ({', '.join(joints)})"
             self.mapping.fault(f"{key}.columns", what)
-        found = self._columns(key, f"{key}.columns", columns.file, names)
-        titles = [str(table.name(name)) for (table, _), name in zip(found, names, strict=True)]
+        located = self._columns(key, f"{key}.columns", columns.file, names)
+        titles = [str(table.name(name)) for (table, _), name in zip(located, names, strict=True)]
         if (named := named_joints(titles, joints)) is not None and (*named,) != joints:
             of = ", ".join(f"{title} is of {name}" for title, name in zip(titles, named, strict=True))
             self.mapping.fault(
                 f"{key}.columns", f"the joints are {', '.join(joints)}, but {of}; write them in that order"
             )
-        files = [table.path.name for table, _ in found]
+        files = [table.path.name for table, _ in located]
         titles = titles if len({*files}) == 1 else [f"{a} of {b}" for a, b in zip(titles, files, strict=True)]
         pairs = ", ".join(f"{name} from {title}" for name, title in zip(joints, titles, strict=True))
         self.notes.append(f"{key}: {pairs}")
-        self.tables_of[key] = [table for table, _ in found]
-        return found
+        self.tables_of[key] = [table for table, _ in located]
+        return located
 
     def _si(self, key: str, quantity: str, columns: Columns, side: str, raw: np.ndarray) -> np.ndarray:
         """Columns (S, n) of the side that they are of, SI."""
@@ -295,7 +295,7 @@ class Source:
             if len(file) != len(names):
                 self.mapping.fault(f"{key}.file", f"{counted(len(file), 'file')} for {counted(len(names), 'column')}")
             each = zip(file, names, strict=True)
-            return [pair for one, name in each for pair in self._columns(key, columns_key, one, [name])]
+            return [pair for source, name in each for pair in self._columns(key, columns_key, source, [name])]
         table = self._table(key, columns_key, file, names)
         columns = [column for name in names if (column := table.column(name)) is not None]
         for name, column in zip(names, columns, strict=True):

@@ -69,35 +69,35 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
             the robot missing, or stamps that cannot be used.
     """
     path = Path(path)
-    found = scan(path)
-    run = found.metadata.get(RUN, {})
-    topics, names, left_out = choose_topics(path, found, robot, topic, run.get("robot"))
+    scanned = scan(path)
+    run = scanned.metadata.get(RUN, {})
+    topics, names, left_out = choose_topics(path, scanned, robot, topic, run.get("robot"))
     topic_wanted, topic = topic, topics[0]
-    late = found.receive_delay(topics)
-    table = _table([group for one in topics for group in found.topics.pop(one)], names, found.scratch)
+    late = scanned.receive_delay(topics)
+    table = _table([group for each in topics for group in scanned.topics.pop(each)], names, scanned.scratch)
     if table is None:
         raise InputError(f"{path}: {topic}: no message holds finite numbers that an arm can have of {', '.join(names)}")
     order = table.order(str(path))
-    table = replace(table.taken(order.rows, found.scratch), stamp=order.stamp)
-    table, cuts, mended = _mended(table, robot, found.scratch)
+    table = replace(table.taken(order.rows, scanned.scratch), stamp=order.stamp)
+    table, cuts, mended = _mended(table, robot, scanned.scratch)
     stamp, arrays = table.stamp, table.arrays
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / NANO
-    repairs = [*left_out, *_file_repairs(found, topic, duration), *_run_repairs(run, spacing.repairs)]
+    repairs = [*left_out, *_file_repairs(scanned, topic, duration), *_run_repairs(run, spacing.repairs)]
     repairs += [*table.repairs, *order.repairs, *mended, *spacing.repairs]
     t = (stamp - stamp[0]) / NANO
     references, planned = (
-        _set_points(found, namesake(found, wanted, topic), names, stamp, spacing.rate, repairs)
+        _set_points(scanned, namesake(scanned, wanted, topic), names, stamp, spacing.rate, repairs)
         for wanted in (REFERENCES, PLANNED)
     )
     if references is None:
-        commands = commanded(found, topics, names, stamp, arrays["position"], late, topic_wanted)
+        commands = commanded(scanned, topics, names, stamp, arrays["position"], late, topic_wanted)
         references = commands.values
         run = run | commands.facts
         repairs += commands.repairs
-    if topic in found.effort_is:
-        run = {EFFORT: found.effort_is[topic]} | run
-    if found.types[topic].endswith("(json)"):
+    if topic in scanned.effort_is:
+        run = {EFFORT: scanned.effort_is[topic]} | run
+    if scanned.types[topic].endswith("(json)"):
         references, run = _in_radians(path, arrays, references, names, run)
     pieces = [[a, *(cut for cut in cuts if a < cut < b), b] for a, b in spacing.segments]
     return Log(
@@ -117,9 +117,9 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
         metadata=run,
         repairs=tuple(repairs),
         breaks=tuple(t[list(cuts)].tolist()),
-        sha256=found.sha256,
+        sha256=scanned.sha256,
         without_effort=table.without_effort,
-        scratch=found.scratch,
+        scratch=scanned.scratch,
     )
 
 
@@ -242,25 +242,25 @@ def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) ->
 
 def _parts(groups: list[Messages], names: tuple[str, ...]) -> dict[tuple[str, ...], list[Messages]]:
     """Messages by which of the joints they hold, the most frequent first; parts that share a joint are left out."""
-    found: dict[tuple[str, ...], list[Messages]] = {}
+    by_joints: dict[tuple[str, ...], list[Messages]] = {}
     for group in groups:
         if part := tuple(name for name in names if name in group.layout.names):
-            found.setdefault(part, []).append(group)
+            by_joints.setdefault(part, []).append(group)
     parts: dict[tuple[str, ...], list[Messages]] = {}
-    for part in sorted(found, key=lambda part: -sum(len(group.stamp) for group in found[part])):
+    for part in sorted(by_joints, key=lambda part: -sum(len(group.stamp) for group in by_joints[part])):
         if not any(set(part) & set(other) for other in parts):
-            parts[part] = found[part]
+            parts[part] = by_joints[part]
     return parts
 
 
 def _set_points(
-    found: Scan, topic: str | None, names: tuple[str, ...], stamp: np.ndarray, rate: float, repairs: list[Repair]
+    scanned: Scan, topic: str | None, names: tuple[str, ...], stamp: np.ndarray, rate: float, repairs: list[Repair]
 ) -> np.ndarray | None:
     """(S, n) set-points on the stamps (S,) [ns] of the samples, NaN where there is none."""
     if topic is None:
         return None
-    groups = found.topics.pop(topic)
-    table, problem, when = _table(groups, names, found.scratch), "without a position of every joint", 0.0
+    groups = scanned.topics.pop(topic)
+    table, problem, when = _table(groups, names, scanned.scratch), "without a position of every joint", 0.0
     if table is not None:
         try:
             order = table.order(topic)
@@ -271,7 +271,7 @@ def _set_points(
             if same.any():
                 values = table.arrays["position"][order.rows[nearest]]
                 values[~same] = np.nan
-                return found.scratch.keep(values)
+                return scanned.scratch.keep(values)
             problem, when = "without a sample at their stamps", (int(order.stamp[0]) - int(stamp[0])) / NANO
     total = sum(len(group.stamp) for group in groups)
     repairs.append(Repair(f"{topic}: messages {problem}, left out", when, total))
@@ -300,14 +300,18 @@ def _nominal_rate(run: dict[str, str]) -> float | None:
     return rate if np.isfinite(rate) and rate > 0 else None
 
 
-def _file_repairs(found: Scan, topic: str, end: float) -> list[Repair]:
+def _file_repairs(scanned: Scan, topic: str, end: float) -> list[Repair]:
     repairs = []
-    if not found.closed:
-        repairs.append(Repair("the file was not closed by its writer; unreadable bytes at its end", end, found.dropped))
-    if found.damaged:
-        repairs.append(Repair(f"damaged chunks, left out (first: number {found.damaged[0]})", 0.0, len(found.damaged)))
-    if found.unreadable[topic]:
-        repairs.append(Repair("messages that cannot be decoded, left out", 0.0, found.unreadable[topic]))
+    if not scanned.closed:
+        repairs.append(
+            Repair("the file was not closed by its writer; unreadable bytes at its end", end, scanned.dropped)
+        )
+    if scanned.damaged:
+        repairs.append(
+            Repair(f"damaged chunks, left out (first: number {scanned.damaged[0]})", 0.0, len(scanned.damaged))
+        )
+    if scanned.unreadable[topic]:
+        repairs.append(Repair("messages that cannot be decoded, left out", 0.0, scanned.unreadable[topic]))
     return repairs
 
 

@@ -143,45 +143,45 @@ def _read_mat(path: Path) -> ColumnTable:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except NotImplementedError:  # MATLAB 7.3 is HDF5
         return _read_hdf5(path)
-    found = _Variables()
+    variables = _Variables()
     for name, value in content.items():
         if not name.startswith("__"):
-            found.add(name, value)
-    return found.table(path)
+            variables.add(name, value)
+    return variables.table(path)
 
 
 def _read_hdf5(path: Path) -> ColumnTable:
     """Datasets by their path, `log/q` as `log.q`, in files of MATLAB 7.3 too."""
     h5py = needed("h5py", f"{path}: reading HDF5 (MATLAB 7.3)", "tables")
-    found, sizes = _Variables(), list[int]()
+    variables, sizes = _Variables(), list[int]()
 
     def take(name: str, item: Any) -> None:
         kind = _ascii(item.attrs.get("MATLAB_class", b"double"))
         if item.attrs.get("MATLAB_object_decode", 0) >= _OBJECT:
-            found.objects[name.replace("/", ".")] = kind
+            variables.objects[name.replace("/", ".")] = kind
         elif isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != "char":
             sizes.append(item.size)
             _check_values(path, sum(sizes))
             # MATLAB stores its matrices column by column, so they come transposed
-            found.add(name.replace("/", "."), item[()].T if "MATLAB_class" in item.attrs else item[()])
+            variables.add(name.replace("/", "."), item[()].T if "MATLAB_class" in item.attrs else item[()])
 
     with h5py.File(path, "r") as file:
         file.visititems(take)
-    return found.table(path)
+    return variables.table(path)
 
 
 def _read_numpy(path: Path) -> ColumnTable:
     """Arrays by name; of a single array, the columns by number, or by the names of its fields."""
     _check_unzipped(path)
-    found, content = _Variables(), np.load(path, allow_pickle=False)
+    variables, content = _Variables(), np.load(path, allow_pickle=False)
     if isinstance(content, np.ndarray):
-        found.add("" if content.dtype.names else "column", content)
+        variables.add("" if content.dtype.names else "column", content)
         # as in a text file without names
-        columns = {name.replace("column[", "column ").rstrip("]"): values for name, values in found.columns.items()}
-        return ColumnTable(path, columns, found.constants)
+        columns = {name.replace("column[", "column ").rstrip("]"): values for name, values in variables.columns.items()}
+        return ColumnTable(path, columns, variables.constants)
     for name in content.files:
-        found.add(name, content[name])
-    return found.table(path)
+        variables.add(name, content[name])
+    return variables.table(path)
 
 
 def _read_workbook(path: Path) -> ColumnTable:
@@ -228,13 +228,13 @@ def _read_parquet(path: Path) -> ColumnTable:
         sizes = [max(part.num_values, rows) for part, rows in parts if part.path_in_schema.split(".")[0] in names]
         _check_values(path, sum(sizes))
         content = file.read(names).flatten()  # fields of structs become columns
-    found = _Variables()
+    variables = _Variables()
     for name in content.column_names:
         values = _in_seconds(content.column(name)).to_numpy(zero_copy_only=False)
         if values.dtype.kind == "O" and len({np.shape(value) for value in values}) == 1 and np.ndim(values[0]) == 1:
             values = np.stack(values)
-        found.add(name, values)
-    return found.table(path)
+        variables.add(name, values)
+    return variables.table(path)
 
 
 def _in_seconds(column: Any) -> Any:

@@ -81,8 +81,8 @@ class ColumnTable:
     def matrix(self, name: str) -> list[str]:
         """Names of the columns of a matrix, q[1], q[2], …; empty if there is none of that name."""
         names = (self.other_names.get(text, text) for text in (name, _dotted(name)))
-        found = ([column for column in self.columns if column.startswith(f"{text}[")] for text in names)
-        return next(filter(None, found), [])
+        matrices = ([column for column in self.columns if column.startswith(f"{text}[")] for text in names)
+        return next(filter(None, matrices), [])
 
     def missing(self, names: Sequence[str | int]) -> str:
         """That it has none of these columns, what it has instead, and what to do."""
@@ -195,10 +195,10 @@ def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
 
 def _packed_table(path: Path, content: bytes) -> ColumnTable | None:
     """Two lines with names and types, then rows of big-endian numbers: what `record.py --binary` of UR writes."""
-    names, _, rest = content[:_BLOCK].partition(b"\n")
-    types, found, _ = rest.partition(b"\n")
+    names, _, remainder = content[:_BLOCK].partition(b"\n")
+    types, newline, _ = remainder.partition(b"\n")
     labels, kinds = (line.decode("ascii", errors="replace").replace(",", " ").split() for line in (names, types))
-    if not found or not kinds or len(kinds) != len(labels) or not all(kind in _PACKED for kind in kinds):
+    if not newline or not kinds or len(kinds) != len(labels) or not all(kind in _PACKED for kind in kinds):
         return None
     parts = [(label, *_PACKED[kind]) for label, kind in zip(labels, kinds, strict=True)]
     dtype = np.dtype([(label, f">{code}", (count,)) for label, code, count in parts])
@@ -361,19 +361,19 @@ def _named(
 ) -> ColumnTable:
     """Columns (S,), or (S, k) of a vector, by the names of the first head; the others are names too. A name that
     stands twice names none of them."""
-    found: dict[str, np.ndarray] = {}
+    by_name: dict[str, np.ndarray] = {}
     other_names: dict[str, str] = {}
     texts: dict[str, str] = {}
     names = [[text.strip("\"' ") for text in head] for head in heads]
     doubled = {name for head in names for name, count in Counter(head).items() if name and count > 1}
     for place, column in enumerate(columns):
         own = [head[place] for head in names if head[place] and head[place] not in doubled]
-        name = own[0] if own and own[0] not in found else f"column {place + 1}"
+        name = own[0] if own and own[0] not in by_name else f"column {place + 1}"
         other_names |= {other: name for other in own if other not in other_names}
         if place in words:
             texts[name] = words[place]
         if column.ndim == 2:
-            found |= {f"{name}[{k + 1}]": part for k, part in enumerate(column.T)}
+            by_name |= {f"{name}[{k + 1}]": part for k, part in enumerate(column.T)}
         else:
-            found[name] = column
-    return ColumnTable(path, found, {}, texts, other_names, frozenset(doubled), notes)
+            by_name[name] = column
+    return ColumnTable(path, by_name, {}, texts, other_names, frozenset(doubled), notes)

@@ -117,8 +117,8 @@ class Block:
         body, checksum = data[:-4], data[-4:]
         if len(registers) != self.registers or struct.pack(">I", zlib.crc32(body)) != checksum:
             raise ProtocolError(f"the {self.name} registers are damaged: their checksum is wrong")
-        left = io.BytesIO(body)
-        return {field.name: field.kind.unpack(left) for field in self.fields}
+        stream = io.BytesIO(body)
+        return {field.name: field.kind.unpack(stream) for field in self.fields}
 
 
 IDENTITY = Block(

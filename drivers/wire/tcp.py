@@ -67,9 +67,9 @@ class FrameMessage:
 
     @classmethod
     def unpack(cls, payload: bytes) -> Any:
-        left = BytesIO(payload)
-        values = {name: kind.unpack(left) for name, kind in cls.LAYOUT}
-        if more := len(left.read()):
+        stream = BytesIO(payload)
+        values = {name: kind.unpack(stream) for name, kind in cls.LAYOUT}
+        if more := len(stream.read()):
             raise ProtocolError(f"a message has {more} bytes more than its fields")
         return cls(**values)
 

@@ -67,7 +67,7 @@ def _filtered_links(signals: MotionSignals) -> dict[int, Columns]:
     layout, whole, dof = ParameterLayout.of(signals.reference.robot), signals.regressor(), signals.q.shape[1]
     felt = [(link, joint) for link in range(dof) for joint in range(link + 1)]
     filtered = signals.low_pass(np.hstack([whole[:, joint, layout.link(link)] for link, joint in felt]))
-    found: dict[int, Columns] = {link + 1: {} for link in range(dof)}
+    columns: dict[int, Columns] = {link + 1: {} for link in range(dof)}
     for (link, joint), part in zip(felt, np.split(filtered, len(felt), axis=1), strict=True):
-        found[link + 1][joint] = part
-    return found
+        columns[link + 1][joint] = part
+    return columns

@@ -65,16 +65,16 @@ def _read(path: Path, file: Any) -> Recorded:
 
 def _demonstration(path: Path, name: str, demo: Any, step: float) -> Episode:
     arms = demo.get(_ARTICULATIONS)
-    found = sorted(arms) if arms is not None else []
-    if len(found) != 1:
-        relative = "obs/joint_pos is relative to the default pose, and " if "obs" in demo and not found else ""
-        listed = f"{len(found)} articulations ({', '.join(found)})" if found else "none"
+    names = sorted(arms) if arms is not None else []
+    if len(names) != 1:
+        relative = "obs/joint_pos is relative to the default pose, and " if "obs" in demo and not names else ""
+        listed = f"{len(names)} articulations ({', '.join(names)})" if names else "none"
         raise InputError(
             f"{path}: data/{name}: {relative}the absolute positions of one arm are needed at "
             f"{_ARTICULATIONS}/NAME/joint_position; it has {listed}. {_MAP}"
         )
-    position = _array(path, arms[found[0]], "joint_position")
-    velocity = _array(path, arms[found[0]], "joint_velocity") if "joint_velocity" in arms[found[0]] else None
+    position = _array(path, arms[names[0]], "joint_position")
+    velocity = _array(path, arms[names[0]], "joint_velocity") if "joint_velocity" in arms[names[0]] else None
     command = _array(path, demo, _COMMANDS) if _COMMANDS in demo else None
     if command is not None and command.shape != position.shape:
         sizes = f"{command.shape[1]} set-points for {counted(position.shape[1], 'joint')}, {len(command)} steps"

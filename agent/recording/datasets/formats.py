@@ -62,11 +62,11 @@ FORMATS = (
     DatasetFormat("", "a pickle", _ends(".pkl", ".pickle"), _refuse_pickle),
 )
 #: Names of the formats for `agent import --preset`.
-DATASET_PRESETS = tuple(one.preset for one in FORMATS if one.preset)
+DATASET_PRESETS = tuple(each.preset for each in FORMATS if each.preset)
 
 
 def _format_of(path: Path) -> DatasetFormat | None:
-    return next((one for one in FORMATS if one.recognises(path)), None)
+    return next((each for each in FORMATS if each.recognises(path)), None)
 
 
 def is_dataset(path: Path) -> bool:
@@ -83,9 +83,9 @@ def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = (),
     Raises:
         InputError: it cannot be read, holds two arms without a choice, or no such arm.
     """
-    kind = _format_of(path) if preset is None else next(one for one in FORMATS if one.preset == preset)
+    kind = _format_of(path) if preset is None else next(each for each in FORMATS if each.preset == preset)
     if kind is None:
-        raise InputError(f"{path}: none of {', '.join(one.text for one in FORMATS)}")
+        raise InputError(f"{path}: none of {', '.join(each.text for each in FORMATS)}")
     recorded = kind.read(path, len(joints) or None)
     sides = sorted({side_of(name) for name in recorded.joints} - {""})
     if arm is not None and arm.lower() not in sides:

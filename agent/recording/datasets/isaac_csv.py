@@ -39,8 +39,8 @@ def read_isaac_csv(path: Path, joints: int | None = None) -> Recorded:
     table = read_table(path)
     columns = {name.lower(): values for name, values in table.columns.items()}
     if is_isaac_csv(path):
-        found = {field: _numbered(columns, start) for start, field in _FIELDS.items()}
-        arrays = {field: np.column_stack(values) for field, values in found.items() if values}
+        fields = {field: _numbered(columns, start) for start, field in _FIELDS.items()}
+        arrays = {field: np.column_stack(values) for field, values in fields.items() if values}
     else:
         values = [*columns.values()]
         parts = (len(values) - 1) // joints if joints else 0
@@ -64,5 +64,7 @@ def read_isaac_csv(path: Path, joints: int | None = None) -> Recorded:
 
 def _numbered(columns: dict[str, np.ndarray], start: str) -> list[np.ndarray]:
     """Columns whose names begin so, in the order of their numbers."""
-    found = {int(hit[2]): values for name, values in columns.items() if (hit := _NAME.match(name)) and hit[1] == start}
-    return [found[number] for number in sorted(found)]
+    numbered = {
+        int(hit[2]): values for name, values in columns.items() if (hit := _NAME.match(name)) and hit[1] == start
+    }
+    return [numbered[number] for number in sorted(numbered)]

@@ -37,26 +37,30 @@ def flat_names(names: Any) -> list[str]:
         lists = [value for value in names.values() if isinstance(value, (list, Mapping))]
         names = lists or [name for name, value in names.items() if value is not None]
     if isinstance(names, list):
-        return [name for one in names for name in (flat_names(one) if isinstance(one, (list, Mapping)) else [str(one)])]
+        return [
+            name
+            for entry in names
+            for name in (flat_names(entry) if isinstance(entry, (list, Mapping)) else [str(entry)])
+        ]
     return []
 
 
 def quantity_of(name: str) -> str:
     """`position`, `velocity` or `effort`, by the end of a column's name."""
-    found = _ENDS.match(name.lower())
-    return _QUANTITIES[found[2]] if found else "position"
+    match = _ENDS.match(name.lower())
+    return _QUANTITIES[match[2]] if match else "position"
 
 
 def clean(name: str) -> str:
     """The joint's name without what says its role and quantity; the side stays."""
-    found = _ENDS.match(name.lower())
-    return _ROLE.sub("", name[: found.end(1)] if found else name)
+    match = _ENDS.match(name.lower())
+    return _ROLE.sub("", name[: match.end(1)] if match else name)
 
 
 def side_of(name: str) -> str:
     """`left`, `right` or nothing."""
-    found = _SIDE.match(clean(name))
-    return found[1].lower() if found else ""
+    match = _SIDE.match(clean(name))
+    return match[1].lower() if match else ""
 
 
 def without_side(name: str) -> str:
@@ -69,9 +73,9 @@ def poses(names: Sequence[str]) -> list[str]:
     return [name for name in names if quantity_of(name) == "position" and _POSE.match(without_side(name))]
 
 
-def same_joint(one: str, other: str) -> bool:
+def same_joint(name: str, other: str) -> bool:
     """Whether two names mean one joint: but for role, side, namespace and case, or by its makers' two names."""
-    return _key(one) == _key(other) and (not side_of(one) or not side_of(other) or side_of(one) == side_of(other))
+    return _key(name) == _key(other) and (not side_of(name) or not side_of(other) or side_of(name) == side_of(other))
 
 
 def _key(name: str) -> str:
@@ -81,14 +85,14 @@ def _key(name: str) -> str:
 
 def joint_pairs(names: Sequence[str], others: Sequence[str]) -> dict[str, str]:
     """Name → other name of the same joint: the same text, else the only one on both sides that means it."""
-    found = {name: name for name in names if name in others}
-    left = [name for name in names if name not in found]
-    rest = [other for other in others if other not in found]
-    for name in left:
-        alike = [other for other in rest if same_joint(name, other)]
-        if len(alike) == 1 and sum(same_joint(one, alike[0]) for one in left) == 1:
-            found[name] = alike[0]
-    return found
+    pairs = {name: name for name in names if name in others}
+    unpaired = [name for name in names if name not in pairs]
+    candidates = [other for other in others if other not in pairs]
+    for name in unpaired:
+        alike = [other for other in candidates if same_joint(name, other)]
+        if len(alike) == 1 and sum(same_joint(each, alike[0]) for each in unpaired) == 1:
+            pairs[name] = alike[0]
+    return pairs
 
 
 def columns_of(recorded: Sequence[str], wanted: Sequence[str]) -> list[int] | None:

@@ -81,9 +81,9 @@ def read_lerobot(path: Path) -> Recorded:
         sha256=sha256_text("".join(map(sha256_file, files))),
         notes=tuple(notes),
     )
-    found = in_radians(recorded, str(info.get("robot_type")))
-    bus_servos = not found.facts[UNITS].startswith("rad")  # then LeRobot's own loop sent the commands
-    return replace(found, facts=found.facts | ({HOLD: HELD} if bus_servos else {}))
+    converted = in_radians(recorded, str(info.get("robot_type")))
+    bus_servos = not converted.facts[UNITS].startswith("rad")  # then LeRobot's own loop sent the commands
+    return replace(converted, facts=converted.facts | ({HOLD: HELD} if bus_servos else {}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +153,9 @@ def _episodes_in(file: Path, columns: dict[str, list[int] | None]) -> Iterator[t
     position = _matrix(file, table, _STATE, columns["position"] or [], len(episode))
     wanted = columns["command"]
     command = None if wanted is None else _matrix(file, table, _ACTION, wanted, len(episode))
-    for one in np.unique(episode):
-        rows = episode == one
-        yield int(one), _Frames(number[rows], position[rows], None if command is None else command[rows])
+    for index in np.unique(episode):
+        rows = episode == index
+        yield int(index), _Frames(number[rows], position[rows], None if command is None else command[rows])
 
 
 def _column(file: Path, table: ColumnTable, name: str) -> np.ndarray:
@@ -170,16 +170,16 @@ def _column(file: Path, table: ColumnTable, name: str) -> np.ndarray:
 def _matrix(file: Path, table: ColumnTable, name: str, columns: list[int], rows: int) -> np.ndarray:
     """(K, n) some columns of a feature."""
     names = table.matrix(name) or ([name] if name in table.columns else [])
-    found = [table.columns[one] for one in names]
-    if found and len(found[0]) != rows and len(found) == rows:  # an episode with fewer frames than joints
-        found = [*np.stack(found).T]
+    arrays = [table.columns[title] for title in names]
+    if arrays and len(arrays[0]) != rows and len(arrays) == rows:  # an episode with fewer frames than joints
+        arrays = [*np.stack(arrays).T]
     if rows == 1 and name in table.constants:
-        found = [np.array([table.constants[name]])]
-    if max(columns) >= len(found) or any(len(column) != rows for column in found):
+        arrays = [np.array([table.constants[name]])]
+    if max(columns) >= len(arrays) or any(len(column) != rows for column in arrays):
         raise InputError(
-            f"{file}: {name} has {len(found)} columns of numbers, and {INFO} names {max(columns) + 1} or more"
+            f"{file}: {name} has {len(arrays)} columns of numbers, and {INFO} names {max(columns) + 1} or more"
         )
-    return np.stack([found[k] for k in columns], axis=1)
+    return np.stack([arrays[k] for k in columns], axis=1)
 
 
 def _joined(parts: list[_Frames]) -> _Frames:

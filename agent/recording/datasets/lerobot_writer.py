@@ -90,11 +90,11 @@ def write_targets(
 
 
 def _in_their_units(joints: Sequence[str], rows: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    found = np.degrees(rows)
+    converted = np.degrees(rows)
     for j, name in enumerate(joints):
         if is_gripper(name):
-            found[:, j] = 100 * (rows[:, j] - ranges[j, 0]) / (ranges[j, 1] - ranges[j, 0])
-    return found
+            converted[:, j] = 100 * (rows[:, j] - ranges[j, 0]) / (ranges[j, 1] - ranges[j, 0])
+    return converted
 
 
 def _info(names: list[str], episodes: int, frames: int, fps: int) -> dict[str, Any]:

@@ -78,8 +78,8 @@ def read_pace(path: Path) -> Recorded:
 def _check_shapes(arrays: dict[str, np.ndarray]) -> None:
     time = arrays["time"] = np.squeeze(arrays["time"])
     joints = arrays["position"].shape
-    if time.ndim != 1 or len(joints) != 2 or any(len(one) != len(time) for one in arrays.values()):
-        listed = ", ".join(f"{name} {'×'.join(map(str, one.shape))}" for name, one in arrays.items())
+    if time.ndim != 1 or len(joints) != 2 or any(len(array) != len(time) for array in arrays.values()):
+        listed = ", ".join(f"{name} {'×'.join(map(str, array.shape))}" for name, array in arrays.items())
         raise _Refused(f"the sizes do not fit together: {listed}")
     if any(arrays[name].shape != joints for name in arrays if name != "time"):
         raise _Refused("positions and set-points have different numbers of joints")
@@ -108,10 +108,10 @@ def _content(archive: zipfile.ZipFile) -> dict[Any, Any]:
             raise _Refused(f"the numbers {storage.key} end within one")
         return np.frombuffer(data, kind)
 
-    found = _PickleWalk(numbers).result(archive.read(pickles[0]))
-    if not isinstance(found, dict):
-        raise _Refused(f"it holds {type(found).__name__}, not a dict of tensors")
-    return found
+    content = _PickleWalk(numbers).result(archive.read(pickles[0]))
+    if not isinstance(content, dict):
+        raise _Refused(f"it holds {type(content).__name__}, not a dict of tensors")
+    return content
 
 
 class _PickleWalk:
@@ -202,7 +202,7 @@ class _PickleWalk:
         if function != _Named(_TENSOR) or len(arguments) < 4 or not isinstance(arguments[0], _Storage):
             raise _Refused("it calls something else than the making of a tensor")
         storage, offset, size, stride = arguments[:4]
-        if not all(isinstance(one, int) and one >= 0 for one in (offset, *size, *stride)) or len(size) != len(stride):
+        if not all(isinstance(n, int) and n >= 0 for n in (offset, *size, *stride)) or len(size) != len(stride):
             raise _Refused("a tensor has impossible sizes")
         self._values += int(np.prod(size, dtype=object))
         if len(size) > 2 or self._values > _MOST_VALUES:

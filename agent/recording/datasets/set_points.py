@@ -73,12 +73,12 @@ def follows(episode: Episode) -> tuple[float, float]:
         return 1.0, 1.0
     period = (episode.time[-1] - episode.time[0]) / max(len(episode.time) - 1, 1)
     lags = min(int(_LONGEST_LAG / period), len(episode.time) // 2)
-    found = []
+    regressions = []
     for k in np.flatnonzero(np.ptp(episode.position, axis=0) > _MOVED):
         position, command = episode.position[:, k], episode.command[:, k]
         pairs = [_regression(command[: len(command) - lag], position[lag:]) for lag in range(lags + 1)]
-        found.append(max(pairs))
-    correlation, gain = np.median(found, axis=0) if found else (1.0, 1.0)
+        regressions.append(max(pairs))
+    correlation, gain = np.median(regressions, axis=0) if regressions else (1.0, 1.0)
     return float(correlation), float(gain)
 
 

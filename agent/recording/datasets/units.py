@@ -81,22 +81,22 @@ def units_of_columns(names: Sequence[str], values: np.ndarray, robot_type: str =
     degree = [ticks for ticks in _TICKS if known and all(_same(step, 360 / ticks) for step in known)]
     radian = [ticks for ticks in _TICKS if known and all(_same(step, 2 * math.pi / ticks) for step in known)]
     if degree:
-        found = f"every joint that moves has a step of {360 / degree[0]:.4f}, one of {degree[0]:.0f} ticks a turn"
-        return [_hand(name, step) or Unit("deg", math.pi / 180, found) for name, step in columns]
+        reason = f"every joint that moves has a step of {360 / degree[0]:.4f}, one of {degree[0]:.0f} ticks a turn"
+        return [_hand(name, step) or Unit("deg", math.pi / 180, reason) for name, step in columns]
     fine = all(step < 200 / _PERCENT_TICKS * (1 - _SAME_STEP) for step in known)  # no range is more than a turn
     steps_are = "their steps are finer than those of percent" if known else "the values have no step"
     if radian or (most <= _TURN and fine):
-        found = f"no joint goes beyond a turn, and {steps_are}"
+        reason = f"no joint goes beyond a turn, and {steps_are}"
         if radian:
-            found = f"every joint that moves has a step of {2 * math.pi / radian[0]:.6f}"
-        return [_open_hand(name, values[:, k]) or Unit("rad", 1.0, found) for k, name in enumerate(names)]
+            reason = f"every joint that moves has a step of {2 * math.pi / radian[0]:.6f}"
+        return [_open_hand(name, values[:, k]) or Unit("rad", 1.0, reason) for k, name in enumerate(names)]
     if not fine and most <= _PERCENT:
         return [_percent(name, step) for name, step in columns]
     maker = next((maker for maker in _IN_DEGREES if maker in robot_type.lower()), None)
     if fine and (maker or most > _PERCENT):
-        found = f"the values go to {most:.0f}, further than percent or rad, and {steps_are}"
-        found = found if maker is None else f"that is the unit of {maker} arms, and {steps_are}"
-        return [_hand(name, step) or Unit("deg", math.pi / 180, found) for name, step in columns]
+        reason = f"the values go to {most:.0f}, further than percent or rad, and {steps_are}"
+        reason = reason if maker is None else f"that is the unit of {maker} arms, and {steps_are}"
+        return [_hand(name, step) or Unit("deg", math.pi / 180, reason) for name, step in columns]
     listed = ", ".join(f"{names[k]} {step:.4g}" for k in arm if (step := steps[k]) is not None) or "none"
     raise InputError(
         f"the unit of the positions cannot be told: they go to {most:.4g}, and their steps are {listed}. Degrees have "
@@ -137,8 +137,8 @@ def in_radians(recorded: Recorded, robot_type: str = "") -> Recorded:
     return replace(changed, unit="rad", facts=facts, notes=(*recorded.notes, *notes))
 
 
-def _same(one: float, other: float) -> bool:
-    return abs(one / other - 1) < _SAME_STEP
+def _same(step: float, other: float) -> bool:
+    return abs(step / other - 1) < _SAME_STEP
 
 
 def _percent(name: str, step: float | None) -> Unit:

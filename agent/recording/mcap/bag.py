@@ -45,9 +45,9 @@ def bag_files(folder: Path) -> list[Path]:
     """
     path = folder / METADATA
     if not path.is_file():
-        numbered = [(file, found) for file in folder.iterdir() if (found := _NUMBERED.fullmatch(file.name))]
-        if numbered and len({found[1] for _, found in numbered}) == 1:
-            return [file for file, _ in sorted(numbered, key=lambda one: int(one[1][2]))]
+        numbered = [(file, match) for file in folder.iterdir() if (match := _NUMBERED.fullmatch(file.name))]
+        if numbered and len({match[1] for _, match in numbered}) == 1:
+            return [file for file, _ in sorted(numbered, key=lambda entry: int(entry[1][2]))]
         raise InputError(f"{folder}: is a folder without {METADATA}, so no bag of ROS 2; name the log files themselves")
     content = read_yaml(path)
     about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
@@ -58,7 +58,11 @@ def bag_files(folder: Path) -> list[Path]:
     for name in names:
         file = folder / Path(str(name)).name  # older bags name them with their folder
         # some recorders name files as they were before compression, some people unpack them
-        there = [one for one in (file, file.with_name(f"{file.name}.zstd"), file.with_suffix("")) if one.is_file()]
+        there = [
+            candidate
+            for candidate in (file, file.with_name(f"{file.name}.zstd"), file.with_suffix(""))
+            if candidate.is_file()
+        ]
         if not there:
             raise InputError(f"{file}: is missing, although {path} names it")
         files.append(there[0])
@@ -167,9 +171,9 @@ def read_ros1(path: Path, file: str, messages: _BagTaker) -> int:
     try:
         with bags.Reader(file) as reader:
             wanted = [
-                one
-                for one in reader.connections
-                if messages.channel(one.id, one.topic, one.msgtype, "ros1", one.msgdef.data)
+                connection
+                for connection in reader.connections
+                if messages.channel(connection.id, connection.topic, connection.msgtype, "ros1", connection.msgdef.data)
             ]
             for connection, received, raw in reader.messages(wanted) if wanted else ():
                 messages.message(connection.id, bytes(raw), max(int(received), 0))

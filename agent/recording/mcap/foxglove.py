@@ -73,5 +73,5 @@ def _column(panels: Sequence[str]) -> Any:
     """Equal parts one above the other, nested as Foxglove nests them."""
     if len(panels) == 1:
         return panels[0]
-    rest = _column(panels[1:])
-    return {"direction": "column", "first": panels[0], "second": rest, "splitPercentage": 100 / len(panels)}
+    below = _column(panels[1:])
+    return {"direction": "column", "first": panels[0], "second": below, "splitPercentage": 100 / len(panels)}

@@ -39,13 +39,13 @@ def joint_values(data: bytes) -> tuple[tuple[str, ...], dict[str, list[float]]]:
         raise ValueError("nested too deep") from None
     parts = [content, *(content.values() if isinstance(content, dict) else ())]
     for part in parts:
-        if isinstance(part, Mapping) and (found := _values(part)):
-            return found
+        if isinstance(part, Mapping) and (numbers := _values(part)):
+            return numbers
     raise ValueError("no positions in it")
 
 
 def _values(part: Mapping[str, Any]) -> tuple[tuple[str, ...], dict[str, list[float]]] | None:
-    found: dict[str, list[float]] = {}
+    numbers: dict[str, list[float]] = {}
     listed: list[Any] = next((part[key] for key in _NAMES if isinstance(part.get(key), list)), [])
     names = tuple(map(str, listed))
     for quantity, keys in _QUANTITIES.items():
@@ -53,12 +53,12 @@ def _values(part: Mapping[str, Any]) -> tuple[tuple[str, ...], dict[str, list[fl
         if isinstance(value, dict):
             names, value = tuple(map(str, value)), [*value.values()]
         if value is not None and 0 < len(value) <= _MOST_JOINTS and _are_numbers(value):
-            found[quantity] = [float(one) for one in value]
-    if "position" not in found:
+            numbers[quantity] = [float(number) for number in value]
+    if "position" not in numbers:
         return None
-    joints = len(found["position"])
-    return names if len(names) == joints else (), {key: one for key, one in found.items() if len(one) == joints}
+    joints = len(numbers["position"])
+    return names if len(names) == joints else (), {key: row for key, row in numbers.items() if len(row) == joints}
 
 
 def _are_numbers(values: Iterable[Any]) -> bool:
-    return all(isinstance(one, (int, float)) and not isinstance(one, bool) for one in values)
+    return all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values)

@@ -308,10 +308,10 @@ class _KeptFile:
     def flush(self) -> None:
         """Hand everything over to the operating system, at once."""
         data, self._waiting = bytes(self._waiting), bytearray()
-        rest = memoryview(data)
+        remaining = memoryview(data)
         try:
-            while rest:
-                rest = rest[self._file.write(rest) :]
+            while remaining:
+                remaining = remaining[self._file.write(remaining) :]
         except OSError as error:
             with suppress(OSError):  # else the reader meets half a record, which it can deal with
                 self._file.truncate(self._end)

@@ -160,14 +160,14 @@ class MessageSchema:
 
     def fields(self, kind: str) -> list[_Field]:
         """Fields of a type; the empty name is the message itself."""
-        found = self._types.get(kind.rsplit("/", 1)[-1])
-        if found is None:
+        fields = self._types.get(kind.rsplit("/", 1)[-1])
+        if fields is None:
             raise ValueError(f"the type {kind} is not defined")
-        return found
+        return fields
 
 
 def _fields(text: str) -> list[_Field]:
-    found = []
+    fields = []
     for line in text.splitlines():
         line = line.split("#", 1)[0].strip()
         if not line or _CONSTANT.match(line):
@@ -176,8 +176,8 @@ def _fields(text: str) -> list[_Field]:
         if hit is None:
             raise ValueError(f"{line[:60]!r} is no field of a message")
         length = None if hit[2] is None else 0 if "<=" in hit[2] or not hit[3] else int(hit[3])
-        found.append(_Field(hit[4], hit[1], length))
-    return found
+        fields.append(_Field(hit[4], hit[1], length))
+    return fields
 
 
 @dataclass(eq=False)
@@ -206,26 +206,26 @@ class _MessageWalk:
     def _struct(self, kind: str, path: str, depth: int) -> None:
         if depth > _DEEPEST:
             raise ValueError("types are nested too deep")
-        for one in self.schema.fields(kind):
-            self._field(one, f"{path}.{one.name}" if path else one.name, depth)
+        for entry in self.schema.fields(kind):
+            self._field(entry, f"{path}.{entry.name}" if path else entry.name, depth)
 
-    def _field(self, one: _Field, path: str, depth: int) -> None:
-        count = 1 if one.length is None else one.length or self._length()
-        if one.length == 0:
+    def _field(self, entry: _Field, path: str, depth: int) -> None:
+        count = 1 if entry.length is None else entry.length or self._length()
+        if entry.length == 0:
             self.counts[path] = count
-        if one.kind in ("string", "wstring"):
-            if one.kind == "wstring":
+        if entry.kind in ("string", "wstring"):
+            if entry.kind == "wstring":
                 raise ValueError("texts of 16 bits are not read")
             self.texts[path] = [self._text() for _ in range(self._sane(count))]
-        elif one.kind in _PRIMITIVES:
-            code = _PRIMITIVES[one.kind]
+        elif entry.kind in _PRIMITIVES:
+            code = _PRIMITIVES[entry.kind]
             size = int(code[1])
             if count:
                 self._align(size)
             self.numbers[path] = (self._take(size * count).start, count, code)
         else:
             for k in range(self._sane(count)):
-                self._struct(one.kind, path if one.length is None else f"{path}[{k}]", depth + 1)
+                self._struct(entry.kind, path if entry.length is None else f"{path}[{k}]", depth + 1)
 
     def _sane(self, count: int) -> int:
         if count > len(self.message):
@@ -306,23 +306,23 @@ def parse_form(message: bytes, form: MessageForm, schema: MessageSchema, ros1: b
     """
     walk = _MessageWalk(message, schema, ros1)
     names = tuple(walk.texts.get(form.names, ()))
-    found: list[tuple[list[np.ndarray | None], tuple[int, ...]]]
+    parsed: list[tuple[list[np.ndarray | None], tuple[int, ...]]]
     if form.interfaces:
         names, offsets = _interfaces(walk, form.interfaces, names)
-        found = [(offsets, ())]
+        parsed = [(offsets, ())]
     elif form.points:
-        found = [_point(walk, f"{form.points}[{k}]", len(names)) for k in range(walk.counts[form.points])]
+        parsed = [_point(walk, f"{form.points}[{k}]", len(names)) for k in range(walk.counts[form.points])]
     else:
         paths = (form.position, form.velocity, form.effort, form.set_point)
-        found = [([_numbers(walk, several, len(names)) for several in paths], ())]
+        parsed = [([_numbers(walk, several, len(names)) for several in paths], ())]
     stamp = _clock(walk, form.stamp)
     layouts = []
-    for offsets, delay in found:
+    for offsets, delay in parsed:
         position = offsets[0]
         if position is None:
             raise ValueError("no position for every joint")
         called = names or tuple(f"{NAMELESS}{k + 1}" for k in range(len(position)))
-        alike = tuple(one if one is not None and len(one) == len(called) else None for one in offsets)
+        alike = tuple(each if each is not None and len(each) == len(called) else None for each in offsets)
         template = np.frombuffer(message, np.uint8)
         layouts.append(FormLayout(called, template, walk.structure, walk.order, alike, stamp, delay))
     return layouts
@@ -330,9 +330,9 @@ def parse_form(message: bytes, form: MessageForm, schema: MessageSchema, ros1: b
 
 def _clock(walk: _MessageWalk, paths: Sequence[str]) -> tuple[int, ...]:
     """Offsets of seconds and nanoseconds; empty where the message lacks them."""
-    found = [walk.numbers[path] for path in paths if path in walk.numbers]
-    whole = len(found) == 2 and all(count == 1 and code in ("i4", "u4") for _, count, code in found)
-    return tuple(start for start, _, _ in found) if whole else ()
+    parts = [walk.numbers[path] for path in paths if path in walk.numbers]
+    whole = len(parts) == 2 and all(count == 1 and code in ("i4", "u4") for _, count, code in parts)
+    return tuple(start for start, _, _ in parts) if whole else ()
 
 
 def _numbers(walk: _MessageWalk, paths: Sequence[str], joints: int) -> np.ndarray | None:
@@ -356,9 +356,9 @@ def _interfaces(walk: _MessageWalk, path: str, names: Sequence[str]) -> tuple[tu
     joints = [k for k, kind in enumerate(kinds) if "position" in kind]
     offsets: list[np.ndarray | None] = []
     for quantity in ("position", "velocity", "effort"):
-        found = [_value(walk, f"{path}[{k}].values", kinds[k], quantity) for k in joints]
-        known = [one for one in found if one is not None]
-        offsets.append(np.array(known) if known and len(known) == len(found) else None)
+        places = [_value(walk, f"{path}[{k}].values", kinds[k], quantity) for k in joints]
+        known = [place for place in places if place is not None]
+        offsets.append(np.array(known) if known and len(known) == len(places) else None)
     return tuple(names[k] for k in joints), [*offsets, None]
 
 

@@ -133,8 +133,8 @@ def scan(path: Path) -> Scan:
     Raises:
         InputError: no such file, neither an MCAP file nor a bag, or a compression that nobody here knows.
     """
-    found, digest = Scan(), hashlib.sha256()
-    messages = _Collector(found)
+    scanned, digest = Scan(), hashlib.sha256()
+    messages = _Collector(scanned)
     try:
         for part in bag_files(path) if path.is_dir() else [path]:
             with unpacked(part) as (content, name):
@@ -143,7 +143,7 @@ def scan(path: Path) -> Scan:
                 if magic.startswith((SQLITE, ROS1)):
                     read = read_database if magic == SQLITE else read_ros1
                     missing = read(part, name, messages)
-                    found.closed, found.dropped = found.closed and not missing, found.dropped + missing
+                    scanned.closed, scanned.dropped = scanned.closed and not missing, scanned.dropped + missing
                 else:
                     _read_mcap(path, content, messages)
             messages.end_file()
@@ -154,12 +154,12 @@ def scan(path: Path) -> Scan:
         raise InputError(f"{path}: no such file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    found.sha256 = digest.hexdigest()
-    return found
+    scanned.sha256 = digest.hexdigest()
+    return scanned
 
 
 def _read_mcap(path: Path, file: IO[bytes], messages: _Collector) -> None:
-    found, size, chunks = messages.found, os.fstat(file.fileno()).st_size, 0
+    scanned, size, chunks = messages.found, os.fstat(file.fileno()).st_size, 0
     magic = file.read(len(_MAGIC))
     if magic != _MAGIC:
         what = "not an MCAP file" if size else "the file is empty"
@@ -168,26 +168,26 @@ def _read_mcap(path: Path, file: IO[bytes], messages: _Collector) -> None:
         raise InputError(
             f"{path}: {what}; a log is an MCAP file or a bag of ROS, with sensor_msgs/msg/JointState messages"
         )
-    found.file_size += size
-    for opcode, body, whole in _records(file, size, found):
+    scanned.file_size += size
+    for opcode, body, whole in _records(file, size, scanned):
         chunks += opcode == Opcode.CHUNK
         try:
             if opcode == Opcode.CHUNK:
-                data = _chunk_data(path, body, whole, found)
+                data = _chunk_data(path, body, whole, scanned)
                 if not _take_records(data, messages) and whole:
-                    found.damaged.append(chunks)
+                    scanned.damaged.append(chunks)
             elif opcode == Opcode.METADATA:
                 record = Metadata.read(_stream(body))
                 texts = {_printable(key): _printable(value) for key, value in record.metadata.items()}
-                found.metadata[record.name] = texts
+                scanned.metadata[record.name] = texts
             elif whole:
                 messages.take(opcode, body)
         except _DAMAGED:
             if opcode == Opcode.CHUNK:
-                found.damaged.append(chunks)
+                scanned.damaged.append(chunks)
 
 
-def _records(file: IO[bytes], size: int, found: Scan) -> Iterator[tuple[int, bytes, bool]]:
+def _records(file: IO[bytes], size: int, scanned: Scan) -> Iterator[tuple[int, bytes, bool]]:
     """Records of the data section: opcode, content, and whether the content is whole; of others only a chunk comes."""
     while True:
         at = file.tell()
@@ -196,31 +196,31 @@ def _records(file: IO[bytes], size: int, found: Scan) -> Iterator[tuple[int, byt
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             return
         if opcode == 0 or length > size - file.tell():
-            found.closed, found.dropped = False, found.dropped + size - at
+            scanned.closed, scanned.dropped = False, scanned.dropped + size - at
             if opcode == Opcode.CHUNK:
                 yield opcode, file.read(), False
             return
         yield opcode, file.read(length), True
 
 
-def _check_unpacked(path: Path, found: Scan, size: int) -> None:
+def _check_unpacked(path: Path, scanned: Scan, size: int) -> None:
     """Refuse what would fill memory or disk: a chunk may declare any `size` [bytes].
 
     Raises:
         InputError: the chunk, or all chunks together, declare more than any recording has.
     """
-    found.unpacked_size += size
+    scanned.unpacked_size += size
     if size > MOST_UNPACKED:
         raise InputError(
             f"{path}: a chunk of {size / 2**20:.0f} MiB before compression; at most {MOST_UNPACKED >> 20} "
             "MiB can be read: write the file anew with smaller chunks"
         )
-    most = min(max(MOST_UNPACKED, MOST_TIMES * found.file_size), max(_MOST_OF_SMALL, _OF_LARGE * found.file_size))
-    if found.unpacked_size > most:
+    most = min(max(MOST_UNPACKED, MOST_TIMES * scanned.file_size), max(_MOST_OF_SMALL, _OF_LARGE * scanned.file_size))
+    if scanned.unpacked_size > most:
         raise InputError(too_much(path, most))
 
 
-def _chunk_data(path: Path, body: bytes, whole: bool, found: Scan) -> bytes:
+def _chunk_data(path: Path, body: bytes, whole: bool, scanned: Scan) -> bytes:
     """The records of a chunk up to its end; an error of `_DAMAGED` if they differ from its declaration."""
     chunk = Chunk.read(_stream(body))  # of a chunk that is cut off, the data that are there
     if not chunk.compression:
@@ -230,7 +230,7 @@ def _chunk_data(path: Path, body: bytes, whole: bool, found: Scan) -> bytes:
             f"{path}: compressed with {chunk.compression!r}; zstd, lz4 and none can be read: convert the file"
         )
     else:
-        _check_unpacked(path, found, chunk.uncompressed_size)
+        _check_unpacked(path, scanned, chunk.uncompressed_size)
         data = unpack(chunk.data, chunk.uncompressed_size)
         if len(data) > chunk.uncompressed_size:
             raise EndOfFile("it holds more than it declares")
@@ -274,8 +274,8 @@ class _Channel:
 class _Collector:
     """Decodes messages of joints' states and commands."""
 
-    def __init__(self, found: Scan):
-        self.found = found
+    def __init__(self, scanned: Scan):
+        self.found = scanned
         self._schemas: dict[int, tuple[str, str]] = {}
         self._channels: dict[int, _Channel] = {}
         self._layouts: dict[tuple[int, int], list[list[JointStateLayout] | list[FormLayout]]] = defaultdict(list)
@@ -385,18 +385,18 @@ class _Collector:
         received: np.ndarray,
     ) -> None:
         """Messages (K, L) of one layout as numbers."""
-        keep, found = self.found.scratch.keep, self.found
+        keep, scanned = self.found.scratch.keep, self.found
         taken = map(partial(layout.array, rows), range(3))
         position, velocity, effort = (None if values is None else keep(values) for values in taken)
         if isinstance(layout, JointStateLayout):
             stamp = sent = layout.stamps(rows)
         else:
             stamp, sent = layout.stamps(rows, received)
-        topics = found.commands if channel.commands else found.topics
+        topics = scanned.commands if channel.commands else scanned.topics
         topics[channel.topic].append(Messages(layout, order, stamp, position, velocity, effort, received, sent))
         if isinstance(layout, FormLayout) and (points := layout.array(rows, 3)) is not None:
             held = Messages(layout, order, stamp, keep(points), None, None, received, sent)
-            found.set_points[channel.topic].append(held)
+            scanned.set_points[channel.topic].append(held)
 
     def _decode_json(self, channel: _Channel, messages: list[bytes], order: np.ndarray, received: np.ndarray) -> None:
         alike: dict[tuple[tuple[str, ...], tuple[str, ...], int], list[tuple[int, dict[str, list[float]]]]] = {}
@@ -408,11 +408,11 @@ class _Collector:
                 continue
             alike.setdefault((names, tuple(values), len(values["position"])), []).append((k, values))
         topics = self.found.commands if channel.commands else self.found.topics
-        for (names, _, count), found in alike.items():
+        for (names, _, count), decoded in alike.items():
             called = names or tuple(f"{NAMELESS}{k + 1}" for k in range(count))
-            rows = [k for k, _ in found]
+            rows = [k for k, _ in decoded]
             position, velocity, effort = (
-                np.array([values[name] for _, values in found]) if name in found[0][1] else None
+                np.array([values[name] for _, values in decoded]) if name in decoded[0][1] else None
                 for name in ("position", "velocity", "effort")
             )
             layout, times = NamedJoints(called), received[rows]

@@ -25,7 +25,7 @@ _Topics = dict[str, list[Messages]]
 
 
 def choose_topics(
-    path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None, named: str | None
+    path: Path, scanned: Scan, robot: RobotDescription | None, wanted: str | None, named: str | None
 ) -> tuple[tuple[str, ...], tuple[str, ...], list[Repair]]:
     """The topics to read, the joints by their names in the log, in the robot's order, and what there is to say.
 
@@ -35,7 +35,7 @@ def choose_topics(
     Raises:
         InputError: no topic of joint states, several that may be meant, or joints of the robot missing.
     """
-    topics = _candidates(path, found, robot, wanted)
+    topics = _candidates(path, scanned, robot, wanted)
     if robot is None:
         topic = STATES if STATES in topics else next(iter(topics))
         if len(topics) > 1 and topic != STATES:
@@ -85,23 +85,23 @@ def logged_joints(path: Path, wanted: str | None = None) -> tuple[str, ...]:
     return tuple(dict.fromkeys(name for groups in topics.values() for name in _names(groups)))
 
 
-def namesake(found: Scan, wanted: str, states: str) -> str | None:
+def namesake(scanned: Scan, wanted: str, states: str) -> str | None:
     """The topic of that name in the namespace of the measured states, or the only one in any."""
     namespace = states.removesuffix(STATES) if states.endswith(STATES) else ""
     for topic in (namespace + wanted, wanted.lstrip("/")):
-        if found.topics.get(topic):
+        if scanned.topics.get(topic):
             return topic
-    others = [topic for topic in found.topics if topic.endswith(wanted)]
+    others = [topic for topic in scanned.topics if topic.endswith(wanted)]
     return others[0] if len(others) == 1 and not namespace else None
 
 
-def _candidates(path: Path, found: Scan, robot: RobotDescription | None, wanted: str | None) -> _Topics:
+def _candidates(path: Path, scanned: Scan, robot: RobotDescription | None, wanted: str | None) -> _Topics:
     """Topics that may hold the measured states, or the one that is wanted, unless it holds commands."""
     if robot is not None:
-        for topic, several in found.topics.items():
-            found.topics[topic] = [_of_robot(group, robot) for group in several]
-    groups = {topic: found.topics[topic] for topic in sorted(found.topics) if found.topics[topic]}
-    if wanted is not None and not any(topic.strip("/") == wanted.strip("/") for topic in found.commands):
+        for topic, several in scanned.topics.items():
+            scanned.topics[topic] = [_of_robot(group, robot) for group in several]
+    groups = {topic: scanned.topics[topic] for topic in sorted(scanned.topics) if scanned.topics[topic]}
+    if wanted is not None and not any(topic.strip("/") == wanted.strip("/") for topic in scanned.commands):
         name = next((topic for topic in groups if topic.strip("/") == wanted.strip("/")), None)
         if name is None:
             raise InputError(f"{path}: no joint states on the topic {wanted}; it has {_listed(groups) or 'none'}")
@@ -111,12 +111,12 @@ def _candidates(path: Path, found: Scan, robot: RobotDescription | None, wanted:
     def may_be_states(topic: str) -> bool:
         """By its name, or of the robot's joints with torque."""
         own = any(joints & set(group.layout.names) and group.effort is not None for group in groups[topic])
-        return not topic.endswith(_OTHERS) and (topic.endswith(_USUAL) or own) and topic not in found.others
+        return not topic.endswith(_OTHERS) and (topic.endswith(_USUAL) or own) and topic not in scanned.others
 
     topics = {topic: groups[topic] for topic in groups if may_be_states(topic)}
-    topics = topics or {topic: groups[topic] for topic in groups if topic in found.others}
+    topics = topics or {topic: groups[topic] for topic in groups if topic in scanned.others}
     if not topics:
-        raise InputError(f"{path}: {_no_joint_states(found, groups)}")
+        raise InputError(f"{path}: {_no_joint_states(scanned, groups)}")
     return topics
 
 
@@ -169,18 +169,18 @@ def _shown(names: Sequence[str]) -> str:
     return f"{len(names)} without names" if is_nameless(names) else ", ".join(names) or "without names"
 
 
-def _no_joint_states(found: Scan, groups: _Topics) -> str:
-    empty = found.types.get(STATES) == _STATES_TYPE and not found.unreadable
-    if not found.types or (empty and not found.closed):
-        return "no messages in it" + ("" if found.closed else "; its writer stopped before it had written any")
+def _no_joint_states(scanned: Scan, groups: _Topics) -> str:
+    empty = scanned.types.get(STATES) == _STATES_TYPE and not scanned.unreadable
+    if not scanned.types or (empty and not scanned.closed):
+        return "no messages in it" + ("" if scanned.closed else "; its writer stopped before it had written any")
     if empty:
         return f"the topic {STATES} is in it without a single message: was it published while this was recorded?"
-    if found.unreadable:
-        topic, count = max(found.unreadable.items(), key=lambda item: item[1])
+    if scanned.unreadable:
+        topic, count = max(scanned.unreadable.items(), key=lambda item: item[1])
         return (
             f"no readable {STATES} in it: {count} messages on {topic} are no {_STATES_TYPE}, or compressed in a way "
             "that is not known here; ros2 bag convert writes them plainly"
         )
-    topics = ", ".join(f"{topic}: {kind}" for topic, kind in sorted(found.types.items()))
+    topics = ", ".join(f"{topic}: {kind}" for topic, kind in sorted(scanned.types.items()))
     which = f". If one of these is the arm, name it with --topic: {_listed(groups)}" if groups else ""
     return f"no readable {STATES} of type {_STATES_TYPE} in it; it has {topics}{which}"

@@ -157,12 +157,12 @@ class LogWriter:
 
     def _finish(self) -> None:
         """Wait for the thread, and say how far it is."""
-        steps, stuck, turn = -1, 0.0, min(_TOLD, CLOSE_LIMIT)
+        steps, stuck, interval = -1, 0.0, min(_TOLD, CLOSE_LIMIT)
         while True:
-            self._thread.join(turn)
+            self._thread.join(interval)
             if not self._thread.is_alive():
                 return
-            stuck, steps = (stuck + turn if steps == self._steps else 0.0), self._steps
+            stuck, steps = (stuck + interval if steps == self._steps else 0.0), self._steps
             if not stuck < CLOSE_LIMIT:
                 raise self._too_slow(f"it has taken nothing for {CLOSE_LIMIT:g} s")
             ends = "; the program ends when that is done" if interrupted() else ""

@@ -107,7 +107,7 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
                 for other in np.flatnonzero(np.diff(before) > 1).tolist():
                     if other != here:
                         further.append(_moved(before, other, _FAR))
-                        further += [_moved(one, here) for one in _moved(before, other)]
+                        further += [_moved(trial, here) for trial in _moved(before, other)]
                 trials = np.concatenate([trials, *further])
                 costs = np.append(costs, _costs(trials[len(costs) :], rows, stamps, spread))
             best = trials[int(np.argmin(costs))]

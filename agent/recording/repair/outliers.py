@@ -49,8 +49,8 @@ def find_spikes(effort: np.ndarray) -> np.ndarray:
     places = np.unique(np.concatenate([steps, steps + 1]))
     places = places[(places >= 2) & (places < len(effort) - 2)]
     around = effort[places[:, None] + np.arange(-2, 3)]
-    found = places[np.any(np.abs(effort[places] - np.median(around, axis=1)) > limit, axis=1)]
-    return found if len(found) <= _MOST * len(effort) else found[:0]
+    spikes = places[np.any(np.abs(effort[places] - np.median(around, axis=1)) > limit, axis=1)]
+    return spikes if len(spikes) <= _MOST * len(effort) else spikes[:0]
 
 
 @dataclass(frozen=True)

@@ -60,11 +60,11 @@ def socket_endpoints(host: str, port: int) -> tuple[str, ...]:
 
 def _ports(host: str, port: int) -> Iterator[str]:
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
         yield f"{host.lower()}:{port}"
         return
-    for family, _, _, _, place in found:
+    for family, _, _, _, place in addresses:
         yield f"{'this machine' if _is_here(family, place) else place[0]}:{port}"
 
 

@@ -190,8 +190,8 @@ def _remove(ftp: ftplib.FTP, name: str) -> None:
 def _first_fault(faults: bytes) -> str:
     """`line column message`, as a sentence."""
     first = faults.decode("utf-8", "replace").strip().splitlines()[0]
-    line, _, rest = first.partition(" ")
-    column, _, message = rest.partition(" ")
+    line, _, remainder = first.partition(" ")
+    column, _, message = remainder.partition(" ")
     if line.isdigit() and column.isdigit():
         return f"line {line} column {column}: {message}"
     return first

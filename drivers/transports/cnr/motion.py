@@ -144,8 +144,8 @@ def _offsets(
         step = np.sum(v * (where - q), axis=1) / np.maximum(speed, _FAST**2)
         offset = np.clip(offset + step, start - _REACH, start + _REACH)
     inside = (when + offset > times[0]) & (when + offset < times[-1]) & (np.abs(offset - start) < 0.99 * _REACH)
-    left = np.abs(where - _interpolated(when + offset, times, positions)).max(axis=1)
-    return [float(one) for one in offset[inside & (speed > _FAST**2) & (left < _ASTRAY)]]
+    residual = np.abs(where - _interpolated(when + offset, times, positions)).max(axis=1)
+    return [float(value) for value in offset[inside & (speed > _FAST**2) & (residual < _ASTRAY)]]
 
 
 def _interpolated(at: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:

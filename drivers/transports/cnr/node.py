@@ -437,8 +437,12 @@ class Joiner:
         near = self._waiting[max(0, place - 1) : place + 1]
         if near and near[-1].time == time_us:
             return near[-1]
-        same = [one for one in near if abs(one.time - time_us) <= _SAME * self._period and one.values[channel] is None]
-        return min(same, key=lambda one: abs(one.time - time_us), default=None)
+        same = [
+            sample
+            for sample in near
+            if abs(sample.time - time_us) <= _SAME * self._period and sample.values[channel] is None
+        ]
+        return min(same, key=lambda sample: abs(sample.time - time_us), default=None)
 
     def _release(self) -> None:
         while self._waiting:

@@ -125,9 +125,9 @@ class Sockets(LinkThread):
         Raises:
             DriverError: the link is down.
         """
-        found = super().wait(reached, timeout)
+        done = super().wait(reached, timeout)
         self.check()
-        return found
+        return done
 
     def command(
         self,
@@ -146,9 +146,9 @@ class Sockets(LinkThread):
             while not self._answers.empty():
                 self._answers.get()  # the answer to a command that was given up
             self.post(kind, point)
-            while (left := limit - time.monotonic()) > 0:
+            while (remaining := limit - time.monotonic()) > 0:
                 seen = acts()
-                answer = self._answer((kind,), time.monotonic() + min(left, _ACTING))
+                answer = self._answer((kind,), time.monotonic() + min(remaining, _ACTING))
                 if answer is not None or seen:
                     return None if answer is None else answer[1]
             return None

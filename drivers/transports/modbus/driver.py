@@ -94,8 +94,8 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
             began = time.monotonic()
             link.read_registers(wire.RING, wire.MAX_READ)
             took.append(time.monotonic() - began)
-        left = max(0.0, 1.0 / min(took) - _OTHERS - 4 / link.watchdog)
-        return left * wire.MAX_READ / wire.slot_registers(self._joints)
+        exchanges = max(0.0, 1.0 / min(took) - _OTHERS - 4 / link.watchdog)
+        return exchanges * wire.MAX_READ / wire.slot_registers(self._joints)
 
     def frames(self) -> dict[str, np.ndarray]:
         """`ReportsFrames`; empty where this controller has no such registers."""

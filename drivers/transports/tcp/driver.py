@@ -143,10 +143,10 @@ class TcpLink(LinkThread):
         try:
             self._send(message, request)
             until = time.monotonic() + timeout
-            while (left := until - time.monotonic()) > 0:
+            while (remaining := until - time.monotonic()) > 0:
                 seen = acts()
                 with contextlib.suppress(queue.Empty):
-                    return answers.get(timeout=min(left, _ACTING))
+                    return answers.get(timeout=min(remaining, _ACTING))
                 if seen:
                     break
             return None

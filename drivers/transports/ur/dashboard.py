@@ -97,10 +97,10 @@ class Dashboard:
             ProtocolError: a version that cannot be read.
         """
         text = self.ask("PolyscopeVersion")
-        found = re.search(r"(?<!\d)\d{1,9}(?:\.\d{1,9}){1,5}(?![\d.])", text)
-        if found is None:
+        match = re.search(r"(?<!\d)\d{1,9}(?:\.\d{1,9}){1,5}(?![\d.])", text)
+        if match is None:
             raise ProtocolError(f"{self.address}: the version of PolyScope is not in {printable(text, NAME)!r}")
-        version = tuple(int(part) for part in found[0].split("."))
+        version = tuple(int(part) for part in match[0].split("."))
         name = self.ask("get robot model").strip().lower().removesuffix("e")
         return UrModel(name + "e" * (version >= (5,)), self.ask("get serial number").strip(), version)
 

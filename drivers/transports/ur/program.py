@@ -69,7 +69,7 @@ class UrProgram:
         Raises:
             RefusedError: no program, or one that could not be stopped or recognised.
         """
-        rows = [_COMMENT.sub(lambda found: found[1] or "", row).rstrip() for row in text.split("\n")]
+        rows = [_COMMENT.sub(lambda match: match[1] or "", row).rstrip() for row in text.split("\n")]
         code = [row for row in rows if row] or [""]
         head, body = _NAME.fullmatch(code[0]), [row.strip() for row in code[1:-1]]
         indented = all(row[0] in " \t" for row in code[1:-1])
@@ -142,8 +142,8 @@ def _preamble(body: list[str]) -> tuple[dict[str, str], list[str]]:
     said: dict[str, str] = {}
     for pattern, least, most in _PREAMBLE:
         count = 0
-        while count < most and body and (found := re.fullmatch(pattern, body[0], re.ASCII)):
-            said |= found.groupdict()
+        while count < most and body and (match := re.fullmatch(pattern, body[0], re.ASCII)):
+            said |= match.groupdict()
             body, count = body[1:], count + 1
         if count < least:
             return said, []
@@ -167,7 +167,7 @@ def _closed(rows: list[str]) -> bool:
 
 def _readable(text: str, code: str) -> bool:
     """Whether no character means something else to the controller than here."""
-    return code.replace("\t", " ").isascii() and all(one.isprintable() or one in "\t\n" for one in text)
+    return code.replace("\t", " ").isascii() and all(char.isprintable() or char in "\t\n" for char in text)
 
 
 def _numbers(text: str, count: int) -> np.ndarray:
