@@ -143,7 +143,7 @@ VAGUE_YET = (
 
 
 def test_locals_are_called_what_they_are():
-    """`left` beside `right` is a side; what a class or the arguments of a public function are called is not local."""
+    """`left` is fine with `right`. Names in a class and arguments of public functions are not local."""
     vague = []
     for package in PACKAGES:
         for path in _modules(package):
