@@ -138,7 +138,7 @@ VAGUE = {"found", "one", "left", "rest", "turn", "lay", "stands", "beside"}
 VAGUE_YET = (
     *("agent/compiled/", "agent/core/", "agent/diagnosis/", "agent/experiment/", "agent/link/", "agent/notebook/"),
     *("agent/pipeline/gap/", "agent/recipe/", "agent/recording/repair/clock.py", "agent/safety/"),
-    *("drivers/transports/ros2/", "drivers/wire/ros2.py", "fake_controller/ros2/"),
+    "fake_controller/ros2/",
 )
 
 

@@ -43,15 +43,15 @@ class RosAddress:
         """Raises:
         ConfigurationError: not such an address.
         """
-        found = _ADDRESS.fullmatch(str(address).strip())
-        if found is None or int(found[1]) > _DOMAINS:
+        match = _ADDRESS.fullmatch(str(address).strip())
+        if match is None or int(match[1]) > _DOMAINS:
             raise ConfigurationError(
                 f"address {place_of(address)!r}: ros2://DOMAIN/NAMESPACE/CONTROLLER is expected, such as "
                 f"ros2://0/joint_trajectory_controller; the domain is 0 to {_DOMAINS}, a namespace may be left out"
             )
-        *namespace, controller = found[2].strip("/").split("/")
-        beside = tuple(part.removeprefix("beside=") for part in found[3].split(",") if part)
-        return cls(int(found[1]), "".join(f"/{part}" for part in namespace), controller, beside)
+        *namespace, controller = match[2].strip("/").split("/")
+        companions = tuple(part.removeprefix("beside=") for part in match[3].split(",") if part)
+        return cls(int(match[1]), "".join(f"/{part}" for part in namespace), controller, companions)
 
     def name(self, *parts: str) -> str:
         """An absolute name in the namespace."""
@@ -147,15 +147,15 @@ class _Reader:
         if len({*names}) != count:
             raise ValueError("it names a joint twice")
         self._known, self._begin, self._count = known, at, count
-        self._order = np.array([names.index(one) for one in self._joints]) if {*self._joints} <= {*names} else None
+        self._order = np.array([names.index(joint) for joint in self._joints]) if {*self._joints} <= {*names} else None
 
     def _ordered(self, array: np.ndarray) -> np.ndarray:
         if len(array) == 0:
             return self._missing
         if len(array) != self._count:
             raise ValueError(f"{len(array)} numbers for {self._count} joints")
-        found: np.ndarray = array[self._order]
-        return found
+        ordered: np.ndarray = array[self._order]
+        return ordered
 
 
 class JointStateReader(_Reader):
@@ -169,8 +169,8 @@ class JointStateReader(_Reader):
         Raises:
             ProtocolError: no JointState.
         """
-        found = self._rows(data, 3)
-        return None if found is None else JointSample(found[0], found[1][0], found[1][1], found[1][2])
+        rows = self._rows(data, 3)
+        return None if rows is None else JointSample(rows[0], rows[1][0], rows[1][1], rows[1][2])
 
 
 class SetPointReader(_Reader):
@@ -184,11 +184,11 @@ class SetPointReader(_Reader):
         Raises:
             ProtocolError: no such message.
         """
-        found = self._rows(data, 2)
-        if found is None:
+        rows = self._rows(data, 2)
+        if rows is None:
             return None
         try:
-            return SetPoint(found[0], found[1][0], found[1][1], _scaling(data, self._begin))
+            return SetPoint(rows[0], rows[1][0], rows[1][1], _scaling(data, self._begin))
         except (struct.error, ValueError) as error:
             raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
 
@@ -246,13 +246,13 @@ def names_in(data: bytes) -> tuple[str, ...]:
         if count > _JOINTS:
             raise ValueError(f"{count} joints")
         at += 4
-        found = []
+        names = []
         for _ in range(count):
             name, at = _string(data, at)
-            found.append(name)
+            names.append(name)
     except (struct.error, ValueError, IndexError) as error:
         raise ProtocolError(f"a message is damaged, or of another type: {error}") from None
-    return joints_of(found)
+    return joints_of(names)
 
 
 def joints_of(names: Sequence[object]) -> tuple[str, ...]:
@@ -261,7 +261,7 @@ def joints_of(names: Sequence[object]) -> tuple[str, ...]:
     Raises:
         ProtocolError: none, or more than any arm has.
     """
-    found = tuple(str(name) for name in names)
-    if not 1 <= len(found) <= MANY or len(set(found)) != len(found):
-        raise ProtocolError(f"the controller names {len(found)} joints, of which {len(set(found))} differ")
-    return found
+    joints = tuple(str(name) for name in names)
+    if not 1 <= len(joints) <= MANY or len(set(joints)) != len(joints):
+        raise ProtocolError(f"the controller names {len(joints)} joints, of which {len(set(joints))} differ")
+    return joints

@@ -50,9 +50,9 @@ class Dds:
         """Whether somebody publishes this topic as best effort; None where nobody publishes it."""
         from cyclonedds.qos import Policy
 
-        for found in self._publications.take(N=_AT_ONCE):
-            if name := getattr(found, "topic_name", ""):
-                best = Policy.Reliability.BestEffort in found.qos
+        for publication in self._publications.take(N=_AT_ONCE):
+            if name := getattr(publication, "topic_name", ""):
+                best = Policy.Reliability.BestEffort in publication.qos
                 self._best_effort[name] = self._best_effort.get(name, False) or best
         return self._best_effort.get(f"rt{topic}")
 
@@ -82,8 +82,8 @@ class Dds:
             return
         self._waiting.wait(int(timeout * 1e9))
         for reader, take in self._readers:
-            while found := reader.take(N=_AT_ONCE):
-                for message in found:
+            while messages := reader.take(N=_AT_ONCE):
+                for message in messages:
                     if isinstance(message, _Raw):
                         take(message)
 
@@ -96,12 +96,12 @@ class Dds:
 def _configuration() -> str | None:
     """What the variables of ROS 2 say about discovery, for cyclonedds; None for its own defaults."""
     local = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
-    peers = [one for one in os.environ.get("ROS_STATIC_PEERS", "").split(";") if one.strip()]
+    peers = [peer for peer in os.environ.get("ROS_STATIC_PEERS", "").split(";") if peer.strip()]
     if not local and not peers:
         return None
     lo = '<General><Interfaces><NetworkInterface name="lo" multicast="true"/></Interfaces></General>' if local else ""
     peers += ["127.0.0.1"] if local else []
-    listed = "".join(f"<Peer Address={quoteattr(one.strip())}/>" for one in peers)
+    listed = "".join(f"<Peer Address={quoteattr(peer.strip())}/>" for peer in peers)
     discovery = f"<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers>{listed}</Peers></Discovery>"
     return f"<CycloneDDS><Domain>{lo}{discovery}</Domain></CycloneDDS>".encode("ascii", "ignore").decode()
 
@@ -129,7 +129,7 @@ def message_types() -> dict[str, Any]:
     states = dict.fromkeys(("position", "velocity", "effort"), numbers)
     points = dict.fromkeys(("reference", "feedback", "error", "output"), point)
     more = {f"multi_dof_{name}": several for name in points}
-    found = {
+    types = {
         "sensor_msgs.msg.JointState": struct("sensor_msgs", "JointState", header=header, name=texts, **states),
         "control_msgs.msg.JointTrajectoryControllerState": struct(
             "control_msgs",
@@ -138,6 +138,6 @@ def message_types() -> dict[str, Any]:
             speed_scaling_factor=float64,
         ),
     }
-    for kind in found.values():
+    for kind in types.values():
         kind.deserialize = staticmethod(_Raw)
-    return found
+    return types

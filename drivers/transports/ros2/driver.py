@@ -115,10 +115,10 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     def _sampling(self, link: RosLink) -> float:
         """The period [s] of the samples: the manager's, where it says it and the stamps agree, else theirs."""
         said = float(self._manager.get("update_rate") or 0.0)  # a controller's own may be less than its broadcaster's
-        found, _ = link.pace()
-        if 0.7 * said < found < 1.4 * said:
+        rate, _ = link.pace()
+        if 0.7 * said < rate < 1.4 * said:
             return 1.0 / said
-        return 1.0 / (round(found, -1) if found > 20.0 else found)
+        return 1.0 / (round(rate, -1) if rate > 20.0 else rate)
 
     def identify(self) -> Identity:
         """By the robot's description and the controller's parameters."""
@@ -174,8 +174,8 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     def throughput(self) -> float:
         """`MeasuresThroughput`: by the stamps of two seconds; a tenth may be left out by the controller itself."""
-        found, _ = self._connected().pace()
-        return 1.0 / self._period if found * self._period > 0.9 else found
+        rate, _ = self._connected().pace()
+        return 1.0 / self._period if rate * self._period > 0.9 else rate
 
     def upload(self, name: str, text: str) -> str:
         """Keep a program for `start`; returns the SHA-256 (hex) of its text.

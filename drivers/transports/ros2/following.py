@@ -32,10 +32,10 @@ class Course:
         self.stamp, self.start, self.points = stamp, start, points
         self.end = stamp + points.duration
 
-        rest = np.zeros((1, 3, len(start)))
-        rest[0, 0] = start
+        standstill = np.zeros((1, 3, len(start)))
+        standstill[0, 0] = start
         self._times = np.concatenate([[0.0], points.times])
-        self._powers = _powers(np.diff(self._times), np.concatenate([rest, points.rows]))
+        self._powers = _powers(np.diff(self._times), np.concatenate([standstill, points.rows]))
 
     def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (n,) at a stamp [s]; stationary before and after."""

@@ -103,9 +103,9 @@ class RosLink(LinkThread):
 
     def parameters(self, node: str, timeout: float | None = None) -> dict[str, Any]:
         """Of a node, empty where it does not answer."""
-        found = self._ros.parameters(node, self._timeout if timeout is None else timeout, self.wait)
+        values = self._ros.parameters(node, self._timeout if timeout is None else timeout, self.wait)
         self.check()
-        return found
+        return values
 
     def call(self, package: str, name: str, service: str) -> Any:
         """The answer of a service that is asked without arguments; None where type or service is not there."""
@@ -125,7 +125,7 @@ class RosLink(LinkThread):
     def others(self) -> tuple[str, ...]:
         """Nodes that may command this controller: publishers of trajectories, and clients of its action."""
         node, topic = self._ros.node, self.target.name(self.target.controller, "joint_trajectory")
-        found = {
+        names = {
             f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in node.get_publishers_info_by_topic(topic)
         }
         for name, namespace in node.get_node_names_and_namespaces():
@@ -134,8 +134,8 @@ class RosLink(LinkThread):
             except Exception:  # it has gone meanwhile
                 continue
             if any(service == f"{self.target.action}/_action/send_goal" for service, _ in clients):
-                found.add(f"{namespace.rstrip('/')}/{name}")
-        return tuple(sorted(one for one in found if not one.rpartition("/")[2].startswith(self.name)))
+                names.add(f"{namespace.rstrip('/')}/{name}")
+        return tuple(sorted(each for each in names if not each.rpartition("/")[2].startswith(self.name)))
 
     def listen(self, joints: Sequence[str]) -> None:
         """Receive samples of these joints, and set-points where their type is there.

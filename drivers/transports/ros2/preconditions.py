@@ -55,18 +55,22 @@ def check_active(link: RosLink) -> None:
     """
     target = link.target
     listed = link.call("controller_manager_msgs.srv", "ListControllers", target.name(MANAGER, "list_controllers"))
-    for one in [] if listed is None else listed.controller:
-        claims = {*link.joints} & {interface.split("/")[-2] for interface in one.claimed_interfaces if "/" in interface}
-        if one.name == target.controller and one.state != "active":
-            raise RefusedError(f"{target.node} is {one.state}; activate it: ros2 control switch_controllers")
-        if one.name != target.controller and one.state == "active" and claims:
-            raise RefusedError(f"{one.name} is active and commands the arm too; deactivate it")
+    for controller in [] if listed is None else listed.controller:
+        claims = {*link.joints} & {
+            interface.split("/")[-2] for interface in controller.claimed_interfaces if "/" in interface
+        }
+        if controller.name == target.controller and controller.state != "active":
+            raise RefusedError(f"{target.node} is {controller.state}; activate it: ros2 control switch_controllers")
+        if controller.name != target.controller and controller.state == "active" and claims:
+            raise RefusedError(f"{controller.name} is active and commands the arm too; deactivate it")
     hardware = link.call(
         "controller_manager_msgs.srv", "ListHardwareComponents", target.name(MANAGER, "list_hardware_components")
     )
-    for one in [] if hardware is None else hardware.component:
-        if one.state.label not in ("active", ""):
-            raise RefusedError(f"the hardware {one.name} is {one.state.label}; activate it, look at the robot first")
+    for component in [] if hardware is None else hardware.component:
+        if component.state.label not in ("active", ""):
+            raise RefusedError(
+                f"the hardware {component.name} is {component.state.label}; activate it, look at the robot first"
+            )
 
 
 def check_alone(link: RosLink) -> None:
@@ -76,7 +80,7 @@ def check_alone(link: RosLink) -> None:
         RefusedError: somebody may.
     """
     link.wait(lambda: _UNKNOWN not in "".join(link.others()), _NAMED)  # names come after what they publish
-    others = [one for one in link.others() if one.rpartition("/")[2] not in link.target.beside]
+    others = [name for name in link.others() if name.rpartition("/")[2] not in link.target.beside]
     if others:
         raise RefusedError(
             f"{', '.join(others)} can command {link.target.node} too: end it. A client that stays idle, such as "

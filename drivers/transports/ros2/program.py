@@ -146,7 +146,7 @@ def _step(data: dict[str, Any], joints: tuple[str, ...]) -> Step:
     goal, cycles = data["goal"], int(data["cycles"])
     if tuple(goal["trajectory"]["joint_names"]) != joints:
         raise ValueError("a goal is for other joints")
-    tolerance = {one["name"]: float(one["position"]) for one in goal["path_tolerance"]}
+    tolerance = {entry["name"]: float(entry["position"]) for entry in goal["path_tolerance"]}
     values = np.array([tolerance[name] for name in joints])
     if not np.all((values > 0.0) & (values <= WIDEST)):
         raise ValueError(f"every joint needs a path tolerance above 0 and at most {WIDEST:g}")
@@ -157,8 +157,10 @@ def _step(data: dict[str, Any], joints: tuple[str, ...]) -> Step:
 
 
 def _points(given: list[dict[str, Any]], count: int) -> Points:
-    times = np.array([one["time_from_start"]["sec"] + 1e-9 * one["time_from_start"]["nanosec"] for one in given])
-    rows = np.array([[_row(one[key], count) for key in ("positions", "velocities", "accelerations")] for one in given])
+    times = np.array([point["time_from_start"]["sec"] + 1e-9 * point["time_from_start"]["nanosec"] for point in given])
+    rows = np.array(
+        [[_row(point[key], count) for key in ("positions", "velocities", "accelerations")] for point in given]
+    )
     if len(times) < 2 or not times[0] >= LEAD - 1e-9 or not all(b > a for a, b in pairwise(times)):
         raise ValueError(f"two points at least, at rising times from {LEAD} s on")
     if not times[-1] <= LONGEST + _SETTLED:

@@ -58,7 +58,8 @@ class Ros:
         )  # or SIGTERM would end nothing
         options = {"start_parameter_services": False, "enable_rosout": False}
         self.node, self._listener = (
-            Node(one, context=self.context, use_global_arguments=False, **options) for one in (name, f"{name}_listener")
+            Node(each, context=self.context, use_global_arguments=False, **options)
+            for each in (name, f"{name}_listener")
         )
         self._polled: list[tuple[Any, Any, Callable[[bytes], None]]] = []
         self._executor, self._answers_due = SingleThreadedExecutor(context=self.context), 0.0

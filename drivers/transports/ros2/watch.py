@@ -112,10 +112,10 @@ class WatchedArm:
 
     def new_set_points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """Stamps (K,) [s], positions and velocities (K, n) since the last call."""
-        found, self._set_points = self._set_points, []
-        if not found:
+        points, self._set_points = self._set_points, []
+        if not points:
             return None
-        rows = [np.array([getattr(one, name) for one in found]) for name in ("stamp", "position", "velocity")]
+        rows = [np.array([getattr(point, name) for point in points]) for name in ("stamp", "position", "velocity")]
         return rows[0], rows[1], rows[2]
 
     def _take_sample(self, reader: JointStateReader, data: bytes) -> None:
@@ -134,12 +134,12 @@ class WatchedArm:
 
     def _take_set_point(self, reader: SetPointReader, data: bytes) -> None:
         try:
-            found = reader.read(data)
+            set_point = reader.read(data)
         except ProtocolError:
             self.unreadable += 1
             return
-        if found is not None:
-            self._set_points.append(found)
+        if set_point is not None:
+            self._set_points.append(set_point)
             self.set_points += 1
 
     def _count_losses(self, stamp: float) -> None:
@@ -229,10 +229,10 @@ class RosWatch:
 
     def _wait_or_fail(self, until: float, what: str) -> None:
         if time.monotonic() >= until:
-            found = {name: os.environ[name] for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE",) if name in os.environ}
+            environ = {name: os.environ[name] for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE",) if name in os.environ}
             raise DriverError(
                 f"{what}; check domain, namespace and joint_state_broadcaster, and that the network lets multicast "
-                f"through, else set ROS_STATIC_PEERS{''.join(f' ({key} is {value})' for key, value in found.items())}"
+                f"through, else set ROS_STATIC_PEERS{''.join(f' ({key} is {value})' for key, value in environ.items())}"
             )
         self._node.spin_once(_TURN)
 
