@@ -25,7 +25,8 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
     assert option is not None
     option.attrib.update(timestep=digits(step), integrator="implicitfast")  # kv of a servo is integrated implicitly
     elements = {element.get("name"): element for element in root.iter("joint")}
-    actuator, passive = SubElement(root, "actuator"), []
+    actuator = SubElement(root, "actuator")
+    passive: list[Element] = []
     for joint in numbers.joints:
         if joint.kp is None or joint.kv is None:
             element = SubElement(actuator, "motor", name=joint.name, joint=joint.name)
@@ -93,12 +94,5 @@ def _lugre(bristles: Bristles, joint: JointNumbers, step: float) -> str:
 
 
 def _without_current(joint: JointNumbers, name: str, **passive: str) -> Element:
-    return Element(
-        "dcmotor",
-        name=f"{joint.name}_{name}",
-        joint=joint.name,
-        input="none",
-        motorconst="0",
-        resistance="1",
-        **passive,
-    )
+    attributes = {"name": f"{joint.name}_{name}", "joint": joint.name, "input": "none", "motorconst": "0"}
+    return Element("dcmotor", {**attributes, "resistance": "1", **passive})
