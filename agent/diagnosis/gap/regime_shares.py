@@ -120,7 +120,7 @@ def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:
         what = "cycle"
         if len(starts) < 2:
             first = dataset.time[here].min()
-            starts, what = np.linspace(first, last, _REPEATS, endpoint=False), "third"
+            starts, what = np.linspace(first, last, _REPEATS, endpoint=False).tolist(), "third"
         for k, (start, end) in enumerate(zip(starts, [*starts[1:], np.inf], strict=True)):
             yield f"{what} {k + 1} of {log.name}", here & (dataset.time >= start) & (dataset.time < end)
 

@@ -121,7 +121,9 @@ class Search:
         return self._stable(self._grid())
 
     def _grid(self) -> list[Wanted]:
-        wanted = [(effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)]
+        wanted: list[Wanted] = [
+            (effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)
+        ]
         self._progress(f"comparing {len(wanted)} forms of effects")
         return wanted
 
