@@ -130,23 +130,10 @@ class _Reader:
             raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
 
     def _look(self, data: bytes) -> None:
-        if bytes(data[:4]) != _LITTLE:
-            raise ValueError("not in little-endian CDR")
-        _, at = _string(data, 12)
-        at = _aligned(at, 4)
-        (count,) = struct.unpack_from("<I", data, at)
-        if count > _JOINTS:
-            raise ValueError(f"{count} joints")
-        known, names = [(12, bytes(data[12:16])), (at, bytes(data[at : at + 4]))], []
-        at += 4
-        for _ in range(count):
-            begin = _aligned(at, 4)
-            name, at = _string(data, begin)
-            known.append((begin, bytes(data[begin:at])))
-            names.append(name)
-        if len({*names}) != count:
+        self._known, names, self._begin = _names(data)
+        self._count = len(names)
+        if len({*names}) != len(names):
             raise ValueError("it names a joint twice")
-        self._known, self._begin, self._count = known, at, count
         self._order = np.array([names.index(joint) for joint in self._joints]) if {*self._joints} <= {*names} else None
 
     def _ordered(self, array: np.ndarray) -> np.ndarray:
@@ -191,6 +178,24 @@ class SetPointReader(_Reader):
             return SetPoint(rows[0], rows[1][0], rows[1][1], _scaling(data, self._begin))
         except (struct.error, ValueError) as error:
             raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
+
+
+def _names(data: bytes) -> tuple[list[tuple[int, bytes]], list[str], int]:
+    """Where the texts of header and names are, with their bytes; the names; and where the first array begins."""
+    if bytes(data[:4]) != _LITTLE:
+        raise ValueError("not in little-endian CDR")
+    at = _aligned(_string(data, 12)[1], 4)
+    (count,) = struct.unpack_from("<I", data, at)
+    if count > _JOINTS:
+        raise ValueError(f"{count} joints")
+    texts, names = [(12, bytes(data[12:16])), (at, bytes(data[at : at + 4]))], []
+    at += 4
+    for _ in range(count):
+        begin = _aligned(at, 4)
+        name, at = _string(data, begin)
+        texts.append((begin, bytes(data[begin:at])))
+        names.append(name)
+    return texts, names, at
 
 
 def _aligned(at: int, size: int) -> int:
@@ -239,20 +244,9 @@ def names_in(data: bytes) -> tuple[str, ...]:
         ProtocolError: another type, damaged, or no names of an arm.
     """
     try:
-        if bytes(data[:4]) != _LITTLE:
-            raise ValueError("not in little-endian CDR")
-        at = _aligned(_string(data, 12)[1], 4)
-        (count,) = struct.unpack_from("<I", data, at)
-        if count > _JOINTS:
-            raise ValueError(f"{count} joints")
-        at += 4
-        names = []
-        for _ in range(count):
-            name, at = _string(data, at)
-            names.append(name)
+        return joints_of(_names(data)[1])
     except (struct.error, ValueError, IndexError) as error:
         raise ProtocolError(f"a message is damaged, or of another type: {error}") from None
-    return joints_of(names)
 
 
 def joints_of(names: Sequence[object]) -> tuple[str, ...]:

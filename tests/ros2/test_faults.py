@@ -134,7 +134,9 @@ def test_fault(ros_bench, arm, tmp_path, run, measured, monkeypatch, name):  # n
     for one in TOGETHER.get(name, (name,)):
         phase = next((phase for phase in ("streaming", "start") if phase in FAULTS.get(one, ())), "")
         if phase:
-            faults.append(Fault(one, phase, STRIKES * (phase == "streaming"), 1.5 if one == "delay" else 0.0))
+            faults.append(
+                Fault(one, phase, STRIKES * (phase == "streaming"), 3 * patience(0.5) if one == "delay" else 0.0)
+            )
     if name == "late samples":
         publish_late(bench)
     swing = Swing(bench, faults, tmp_path, run, arm)

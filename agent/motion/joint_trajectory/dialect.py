@@ -73,6 +73,7 @@ class JointTrajectoryDialect:
             raise InputError("this program has no trajectory to send")
         lines = [
             "# A trajectory begins where the arm has to stand: move it there first, and be ready to stop it.",
+            "# Replace /joint_trajectory_controller by your controller, with its namespace.",
             *(
                 "ros2 action send_goal /joint_trajectory_controller/follow_joint_trajectory "
                 f'control_msgs/action/FollowJointTrajectory "$(cat {file})"'
