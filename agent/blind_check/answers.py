@@ -50,6 +50,8 @@ class _Answer(_Lenient):
     where: list[_Share] = []
     #: Effects that the tool was told to forget for this answer.
     without: list[Effect] = []
+    #: Value, low and high of each number of the servos, by number and joint.
+    servo: dict[str, list[tuple[float, float, float] | None]] = {}
 
     @model_validator(mode="after")
     def _names_what_it_explains(self) -> _Answer:
@@ -95,4 +97,5 @@ def answer_line(run: str, result: Mapping[str, Any], without: list[str]) -> str:
     ]
     where = [{"joint": entry["joint"], "share": round(entry["share"], 4)} for entry in result["where"]]
     answer = {"run": run, "verdict": result["verdict"], "causes": causes, "where": where}
+    answer |= {"servo": result["servo"]} if result.get("servo") else {}
     return json.dumps(answer | ({"without": without} if without else {}))

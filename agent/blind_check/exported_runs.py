@@ -159,6 +159,9 @@ def _publish(source: Path, target: Path, serial: str, rng: np.random.Generator) 
     from agent.recording import LogCopy
 
     shutil.rmtree(target, ignore_errors=True)
+    if not (source / "baseline").exists():
+        shutil.copytree(source, target, ignore=shutil.ignore_patterns("truth.json"))
+        return
     for session, begins in _SESSIONS.items():
         (target / session).mkdir(parents=True)
         at = float(begins)

@@ -15,7 +15,7 @@ from agent.core import AgentError, InputError, write_atomically
 RESULTS, PAGE = "results.jsonl", "blind_check.md"
 #: Values that a line of results leaves out.
 _USUAL: dict[str, Any] = {"recorder": "", "effects": [], "size": None, "causes": [], "probability": None}
-_USUAL |= {"more_wrong": 0, "all_named": False, "joint": None, "withheld": None}
+_USUAL |= {"more_wrong": 0, "all_named": False, "joint": None, "withheld": None, "numbers": None}
 
 _DEFINITIONS = f"""Every run is counted in one column.
 
@@ -28,6 +28,7 @@ _DEFINITIONS = f"""Every run is counted in one column.
 | `no answer` | the tool left the run out |
 | `both of two`, `all of three` | each of the effects is a cause or an equivalent of one |
 | `joint` | the first cause or the largest share is on a true joint; effects of the whole arm are left out |
+| `numbers` | intervals of servos' numbers that hold the true ones, of runs whose effects are such numbers, or none |
 | `further cause wrong` | of answers with several causes, those where a later one holds no true effect |
 | `class sizes` | members of the first cause's class: how many `in class` answers have that size |
 | `withheld` | answers with the true effects taken out of the catalogue: `unknown` is right, any name is wrong |
@@ -120,11 +121,11 @@ def _rows(counts: Mapping[str, Mapping[str, int]]) -> list[list[str]]:
 
 
 def _further(scores: Mapping[str, Any]) -> Iterator[str]:
-    head = ["tool", "both of two", "all of three", "joint", "further cause wrong", "class sizes", "withheld"]
+    head = ["tool", "both of two", "all of three", "joint", "numbers", "further cause wrong", "class sizes", "withheld"]
     head += ["Brier", "ECE"]
     rows = []
     for tool, figures in scores.items():
-        shares = [_share(figures[name]) for name in ("all_of_two", "all_of_three", "joint", "further_wrong")]
+        shares = [_share(figures[name]) for name in ("all_of_two", "all_of_three", "joint", "numbers", "further_wrong")]
         listed = [
             ", ".join(f"{what}: {n}" for what, n in figures[name].items()) or "-" for name in ("classes", "withheld")
         ]

@@ -11,6 +11,7 @@ import numpy as np
 
 from agent.blind_check.key import KINDS, Key
 from agent.core import InputError
+from agent.model import CATALOGUE
 
 Result = Mapping[str, Any]
 
@@ -82,6 +83,7 @@ def _result(
         and all(any(among(class_of(cause), [effect]) for cause in causes) for effect in effects),
         "joint": _joint_right(effects, answer),
         "withheld": None,
+        "numbers": _numbers_held(run, answer),
     }
     if withheld is not None:
         if run["kind"] in ("none", "outside"):
@@ -90,6 +92,20 @@ def _result(
             raise InputError(f"{tool}: run {run['run']}: `without` lacks a true effect: {', '.join(sorted(missing))}")
         result["withheld"] = outcome((), withheld)
     return result
+
+
+def _numbers_held(run: Mapping[str, Any], answer: Mapping[str, Any] | None) -> list[int] | None:
+    """How many intervals of servos' numbers hold the truth, and of how many; None where none were asked or given."""
+    if answer is None or not answer["servo"] or "numbers" not in run:
+        return None
+    pairs = [
+        (low, true, high)
+        for kind, row in answer["servo"].items()
+        for given, true in zip(row, run["numbers"][kind], strict=True)
+        if given is not None
+        for _, low, high in [given]
+    ]
+    return [sum(low <= true <= high for low, true, high in pairs), len(pairs)]
 
 
 def _joint_right(effects: Sequence[Mapping[str, Any]], answer: Mapping[str, Any] | None) -> bool | None:
@@ -134,6 +150,7 @@ def _scores(results: Sequence[Result]) -> dict[str, Any]:
             [result for result in results if len(result["causes"]) > 1], lambda result: result["more_wrong"] > 0
         ),
         "joint": share(located, lambda result: result["joint"]),
+        "numbers": _share_of_numbers(results),
         "classes": {str(size): times for size, times in sorted(sizes.items())},
         "withheld": dict(Counter(result["withheld"] for result in asked)),
         "power": _power([result for result in of["one"] if result["size"] is not None]),
@@ -147,6 +164,18 @@ def _scores(results: Sequence[Result]) -> dict[str, Any]:
             for name in sorted({result["effects"][0][0] for result in single})
         },
     }
+
+
+def _share_of_numbers(results: Sequence[Result]) -> dict[str, Any]:
+    """Of runs whose effects, if any, are numbers: of others no number of a file is true."""
+    told = [
+        result["numbers"]
+        for result in results
+        if result["numbers"]
+        and all(effect in CATALOGUE and CATALOGUE[effect].numbers for effect, _ in result["effects"])
+    ]
+    held, of = (sum(part[k] for part in told) for k in (0, 1))
+    return {"count": held, "of": of, "interval": list(clopper_pearson(held, of)) if of else None}
 
 
 def counts(results: Sequence[Result]) -> dict[str, int]:

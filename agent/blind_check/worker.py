@@ -36,16 +36,23 @@ def _answered(folder: Path, without: Sequence[str]) -> dict[str, Any]:
 
 
 def diagnose_run(folder: Path, without: Sequence[str] = ()) -> dict[str, Any]:
-    """Fit a model to the baseline of a run, and diagnose its logs against it.
+    """Fit a model to the baseline of a run, and diagnose its logs against it; a run without torque, against its file.
 
     Raises:
         InputError: as in `diagnose` and `estimate`.
     """
     from agent.diagnosis import diagnose, with_healthy_effects
     from agent.estimation import estimate
-    from agent.recording import read_log
+    from agent.recording import read_log, read_recording
     from agent.robot import load_robot
+    from agent.simulators import load_arm, load_simulator
 
+    if (file := folder / "arm.xml").exists():
+        arm, recorded = load_arm(file), folder / "logs"
+        parts = sorted(recorded.glob("*.csv")) or [recorded]
+        logs = [log for part in parts for log in read_recording(part, arm)[0]]
+        simulator = load_simulator(file, None, arm.joint_names)
+        return diagnose(simulator.robot, logs, simulator.model, simulator=simulator, without=without).result
     robot = load_robot(folder / "robot.yaml")
     baseline, logs = (
         [read_log(log, robot) for log in sorted((folder / session).glob("*.mcap"))] for session in ("baseline", "logs")

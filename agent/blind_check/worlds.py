@@ -36,12 +36,13 @@ class World(Protocol):
 
     def write(self, truth: Truth, folder: Path) -> dict[str, Any]:
         """Record one run: `robot.yaml` with its URDF, `baseline/*.mcap` and `logs/*.mcap`, the same names every time.
+        A run without torque is `arm.xml` and `logs/`, a LeRobot folder or tables, neither with dates nor serials.
 
         Returns
         -------
         dict
             What is known of the run now. `size`: largest root mean square change of a joint's torque by the effects,
-            over nominal; None where no effect changes torques.
+            over nominal; None where no effect changes torques. `numbers` of servos, where a diagnosis gives them.
 
         Raises
         ------
@@ -85,13 +86,29 @@ class SecondWorld:
         return {"size": answer["size"], "effects": answer["effects"]}
 
 
+@dataclass(frozen=True)
+class ServoedWorld:
+    """Arms with position servos that record no torque; `seconds` of each episode that a person leads."""
+
+    seconds: float = 16.0
+    name = "positions"
+    _process = ("-m", "fake_controller.servoed")
+
+    def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
+        return list(ask_world([*self._process, "draw"], {"count": count, "seed": seed}))
+
+    def write(self, truth: Truth, folder: Path) -> dict[str, Any]:
+        job = {"truth": truth, "folder": str(folder), "seconds": self.seconds}
+        return dict(ask_world([*self._process, "write"], job))
+
+
 def world_of(name: str) -> World:
     """The world of a name.
 
     Raises:
         InputError: there is no such world.
     """
-    worlds: dict[str, World] = {world.name: world for world in (EmulatorWorld(), SecondWorld())}
+    worlds: dict[str, World] = {world.name: world for world in (EmulatorWorld(), SecondWorld(), ServoedWorld())}
     if name not in worlds:
         raise InputError(f"blind check: --world {name}: there is no such world; one of {', '.join(worlds)}")
     return worlds[name]

@@ -8,6 +8,7 @@ from .set_points import (
     EXCITATIONS as EXCITATIONS,
     REVERSALS as REVERSALS,
     STEPS as STEPS,
+    SetPointLimits as SetPointLimits,
     SetPointMotion as SetPointMotion,
     SetPointPlan as SetPointPlan,
     excitation as excitation,

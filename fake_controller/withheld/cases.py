@@ -49,8 +49,8 @@ def draw_cases(count: int, seed: int, robot: RobotDescription, mix: Mix = USUAL)
     effect, and these are too many to try.
     """
     rng = np.random.default_rng([seed, 77])
-    kinds = [str(kind) for kind in rng.permutation(_kinds(count, mix.shares))]
-    names, outside = _deck(mix.names, rng), _deck(OUTSIDE, rng)
+    kinds = [str(kind) for kind in rng.permutation(kinds_of(count, mix.shares))]
+    names, outside = deck(mix.names, rng), deck(OUTSIDE, rng)
     cases = []
     for number, kind in enumerate(kinds):
         strength = float(np.exp(rng.uniform(*np.log(mix.strengths))))
@@ -63,7 +63,7 @@ def draw_cases(count: int, seed: int, robot: RobotDescription, mix: Mix = USUAL)
     return cases
 
 
-def _kinds(count: int, shares: Mapping[str, float]) -> list[str]:
+def kinds_of(count: int, shares: Mapping[str, float]) -> list[str]:
     """Kinds of `count` runs by the largest remainder, so that even a dozen has some of each."""
     wanted = {kind: share * count for kind, share in shares.items()}
     counts = {kind: int(value) for kind, value in wanted.items()}
@@ -73,7 +73,7 @@ def _kinds(count: int, shares: Mapping[str, float]) -> list[str]:
     return [kind for kind, times in counts.items() for _ in range(times)]
 
 
-def _deck(names: Iterable[str], rng: np.random.Generator) -> Iterator[str]:
+def deck(names: Iterable[str], rng: np.random.Generator) -> Iterator[str]:
     """Names in random order, each once before any comes again."""
     while True:
         yield from map(str, rng.permutation(list(names))[::-1])

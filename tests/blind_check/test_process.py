@@ -143,7 +143,7 @@ def test_the_baselines_answer_the_same_runs(check, tmp_path: Path, monkeypatch):
         (["--score", "key.json", "--key", "other.json", "answers.jsonl"], "neither --export nor --key"),
         (["--score", "key.json", "answers.jsonl"], "key.json"),
         (["--export", "out", "--key", "out/key.json"], "the key must lie outside"),
-        (["--world", "moon"], "--world moon: there is no such world; one of emulator, mujoco"),
+        (["--world", "moon"], "--world moon: there is no such world; one of emulator, mujoco, positions"),
     ],
 )
 def test_refuses_incompatible_options(tmp_path: Path, arguments: list[str], message: str):

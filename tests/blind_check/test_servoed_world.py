@@ -1,0 +1,126 @@
+"""The world of positions and commands: what it draws, records and exports."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.blind_check import exported_runs
+from agent.blind_check.key import Key
+from agent.blind_check.scoring import results_of, score
+from agent.blind_check.worlds import ServoedWorld
+from agent.diagnosis.position_logs.fitting import missed
+from agent.diagnosis.position_logs.recording import stretches_of
+from agent.model import CATALOGUE
+from agent.recording import read_recording
+from agent.simulators import FreeSimulator, load_arm, load_simulator
+from fake_controller.servoed.__main__ import write
+from fake_controller.servoed.cases import EFFECTS, draw_cases
+from tests.conftest import ROOT
+
+pytest.importorskip("mujoco")
+CASES = draw_cases(90, 3)
+
+
+#: A run of a small arm that a person leads, and an effect of it.
+SMALL = {**next(case for case in CASES if case["joints"] == 3), "kind": "none", "motions": "led", "effects": []}
+LATE = [{"effect": "time_delay", "joints": [], "parameters": {"delay": 0.06}}]
+
+
+class OneRun(ServoedWorld):
+    """The small run alone."""
+
+    def draw(self, count: int, seed: int, laws: str):
+        return [{**SMALL, "number": 0, "frames": frames("lerobot")}]
+
+
+def frames(form: str) -> dict[str, object]:
+    return {**SMALL["frames"], "format": form}
+
+
+def logs_in(folder: Path):
+    arm, logs = load_arm(folder / "arm.xml"), folder / "logs"
+    return [log for part in sorted(logs.glob("*.csv")) or [logs] for log in read_recording(part, arm)[0]]
+
+
+def miss_of_the_file(folder: Path) -> float:
+    logs = logs_in(folder)
+    free = FreeSimulator(load_simulator(folder / "arm.xml", None, logs[0].joint_names).arm)
+    stretches = stretches_of(logs, held=True, settling=0.5)
+    errors = [missed(one, one.run(free, free.numbers)) for one in stretches]
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+def test_kinds_effects_and_arms_are_spread_evenly():
+    assert Counter(case["kind"] for case in CASES) == {"none": 30, "one": 36, "two": 12, "outside": 12}
+    drawn = Counter(e["effect"] for case in CASES if case["kind"] != "outside" for e in case["effects"])
+    assert set(drawn) == set(EFFECTS) <= set(CATALOGUE)
+    assert max(drawn.values()) <= min(drawn.values()) + 6
+    outside = {e["effect"] for case in CASES if case["kind"] == "outside" for e in case["effects"]}
+    assert len(outside) == 5
+    assert outside.isdisjoint(CATALOGUE)
+    assert {case["joints"] for case in CASES} == {3, 4, 5, 6, 7}
+    assert {case["frames"]["rate"] for case in CASES} == {30, 50, 100, 200}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> dict[str, Path]:
+    """A healthy arm in tables, and the same with a late command in a LeRobot folder."""
+    folder = tmp_path_factory.mktemp("runs")
+    sizes = [
+        write({"truth": {**SMALL, "effects": effects, "frames": frames(form)}, "folder": folder / name, "seconds": 9.0})
+        for name, effects, form in (("healthy", [], "csv"), ("late", LATE, "lerobot"))
+    ]
+    assert sizes[0]["size"] is None
+    assert sizes[1]["size"] > 0.005
+    assert np.allclose(np.subtract(sizes[1]["numbers"]["delay_s"], sizes[0]["numbers"]["delay_s"]), 0.06)
+    return {name: folder / name for name in ("healthy", "late")}
+
+
+def test_runs_are_read_as_they_stand(runs):
+    for folder in runs.values():
+        logs = logs_in(folder)
+        assert [len(log.t) for log in logs] == [9 * SMALL["frames"]["rate"]] * 2
+        assert all(log.reference_position is not None and log.effort is None for log in logs)
+        assert max(np.abs(log.position - log.reference_position).max() for log in logs) < 0.5
+
+
+def test_a_healthy_arm_moves_as_its_file_says_and_a_delayed_one_does_not(runs):
+    healthy, late = miss_of_the_file(runs["healthy"]), miss_of_the_file(runs["late"])
+    assert healthy < 2e-3
+    assert late > 5 * healthy
+
+
+def test_an_export_holds_no_truth_is_drawn_again_by_its_key_and_its_numbers_are_scored(tmp_path: Path):
+    (run,) = exported_runs.export_runs(OneRun(seconds=0.5), tmp_path / "out", tmp_path / "key.json", 1, 5).runs
+    first, again = tmp_path / "out" / "runs" / run["run"], tmp_path / "again"
+    write({"truth": run, "folder": again, "seconds": 0.5})
+    files = [path.relative_to(first) for path in first.rglob("*.*")]
+    assert len(files) == 4
+    assert all((first / name).read_bytes() == (again / name).read_bytes() for name in files)
+    assert sorted(path.name for path in first.iterdir()) == ["arm.xml", "logs"]
+    held, wide = ({"kp": [(1.0, low, 1e6)] + [None] * (run["joints"] - 1)} for low in (0.0, 1e5))
+    answer = {"run": run["run"], "verdict": "no_gap", "causes": [], "where": [], "without": []}
+    results = list(
+        results_of(
+            Key.load(tmp_path / "key.json"), {"a": [{**answer, "servo": held}], "b": [{**answer, "servo": wide}]}
+        )
+    )
+    assert [one["numbers"] for one in results] == [[1, 1], [0, 1]]
+    assert score(results)["a"]["numbers"]["count"] == 1
+
+
+@pytest.mark.verify
+def test_blind_check_on_positions_and_commands(measured):
+    """Sixty runs; what is finished is kept in `.verify/`, and so is its page."""
+    from agent.blind_check import BlindCheck
+    from agent.core import Console, LocalProcesses, available_cores
+
+    with LocalProcesses(available_cores()) as engine:
+        check = BlindCheck(ServoedWorld(), 60, ROOT / ".verify" / "blind_check_positions")
+        (scores,) = check.run(Console(), engine)["tools"].values()
+    for kind, row in scores["outcomes"].items():
+        for name, count in row.items():
+            measured(f"positions, {kind}: {name}", count, f"of {sum(row.values())}")
+    assert scores["outcomes"]["none"]["no gap"] > scores["outcomes"]["none"]["unknown"]
