@@ -74,9 +74,12 @@ def decide_by_position(
 ) -> Verdict:
     """Return the verdict on positions: effects and moved numbers that have a size, what closes most first.
 
-    Most of the gap of a file is often its missing delay, so an effect has its size in what numbers leave.
+    Most of the gap of a file is often its missing delay, so an effect has its size in what numbers leave. Together they
+    have a size too: numbers that moved along a direction that the motion does not tell may close nothing.
     """
     sized = tuple(sorted((*causes, *numbers), key=lambda cause: -(cause.closure or 0.0)))
+    if closure is None or closure < LIMITS.least_share:
+        sized = ()
     if sized and closure is not None and (sized[0].equivalent_to or closure >= LIMITS.explained):
         return Verdict("ambiguous" if sized[0].equivalent_to else "explained", sized, closure)
     return Verdict("unknown" if selected.leaves_gap or sized else "no_gap", (), closure)

@@ -7,21 +7,32 @@ import pytest
 
 from agent.diagnosis.document import Cause
 from agent.diagnosis.simulator_file import servo_table
+from agent.diagnosis.verdict import decide_by_position
 
 NAMES = ("lift", "elbow")
 #: Rows of the file's numbers: gain, damping, armature, friction, delay.
-FILE = np.array([[20.0, 20.0], [1.0, 1.0], [0.03, 0.03], [0.05, 0.05], [0.0, 0.0]])
+FILE = np.array([[20.0, 20.0], [1.0, 1.0], [0.03, 0.03], [0.05, 0.05], [0.02, 0.02]])
+TORQUE = np.array([[20.0, 20.0], [1.0, 1.0], [0.1, 0.1], [0.2, 0.2], [0.0, 0.0]])
 
 
-def named(monkeypatch, effect: str, joints: tuple[str, ...], **intervals) -> bool:
-    """Whether a cause stays, where the intervals of the first joint are these, and of all else ± 10 %."""
-    table = {
-        kind: [(value, 0.9 * value, 1.1 * value) for value in row]
-        for kind, row in zip(servo_table.SERVO_NUMBERS, FILE, strict=True)
-    }
-    for kind, interval in intervals.items():
-        table[kind][0] = interval
-    monkeypatch.setattr(servo_table, "servo_table", lambda found: {"servo": table})
+def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, **intervals) -> bool:
+    """Whether a cause stays, where these are low and high of the first joint over the file's, and of all else ± 10 %.
+
+    Intervals are of numbers where gains are `told`, else of their ratios to the gain.
+    """
+
+    def given(found, form):
+        values = form(FILE)
+        low, high = 0.9 * values, 1.1 * values
+        if told == (form is np.asarray):
+            for kind, (least, most) in intervals.items():
+                row = servo_table.SERVO_NUMBERS.index(kind)
+                low[row, 0], high[row, 0] = least * values[row, 0], most * values[row, 0]
+        return values, low, high
+
+    monkeypatch.setattr(servo_table, "_intervals", given)
+    monkeypatch.setattr(servo_table, "_whole_torque", lambda dataset: TORQUE)
+    monkeypatch.setattr(servo_table, "doubtful_gains", lambda dataset: () if told else (0,))
     dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=NAMES), servos=SimpleNamespace(file=FILE))
     cause = Cause(effect, joints, 0.5, 0.95, {})
     return servo_table.differing(SimpleNamespace(dataset=dataset), [cause]) == [cause]  # type: ignore[arg-type]
@@ -31,20 +42,47 @@ def named(monkeypatch, effect: str, joints: tuple[str, ...], **intervals) -> boo
     ("effect", "intervals", "stays"),
     [
         ("torque_constant", {}, False),
-        ("torque_constant", {"kp": (22.5, 20.5, 24.5)}, True),
-        ("torque_constant", {"kp": None}, True),  # a class of which only ratios are known is judged elsewhere
-        ("torque_constant", {"friction": (0.1, 0.08, 0.12)}, False),
+        ("torque_constant", {"kp": (1.1, 1.2)}, True),
+        ("torque_constant", {"kp": (1.005, 1.2)}, False),  # a right file leaves as much
+        ("torque_constant", {"friction": (1.6, 2.4)}, False),
         ("friction_change", {}, False),
-        ("friction_change", {"friction": (0.1, 0.08, 0.12)}, True),
-        ("friction_change", {"damping": (0.5, 0.4, 0.6)}, True),
-        ("friction_change", {"kp": (30.0, 28.0, 32.0)}, False),
+        ("friction_change", {"friction": (1.6, 2.4)}, True),
+        ("friction_change", {"friction": (1.03, 2.4)}, False),
+        ("friction_change", {"damping": (0.4, 0.6)}, True),
+        ("friction_change", {"kp": (1.4, 1.6)}, False),
         ("stribeck", {}, True),
+        ("payload", {}, True),
     ],
 )
 def test_numbers_that_may_be_the_files_own_are_no_cause(monkeypatch, effect, intervals, stays):
     assert named(monkeypatch, effect, ("lift",), **intervals) == stays
 
 
+@pytest.mark.parametrize(
+    ("effect", "ratios", "stays"),
+    [
+        ("torque_constant", {}, False),
+        ("torque_constant", {"friction": (1.6, 2.4)}, True),
+        ("torque_constant", {"damping": (0.4, 0.6)}, True),
+        ("friction_change", {}, False),
+        ("friction_change", {"friction": (1.6, 2.4)}, True),
+        ("friction_change", {"armature": (1.6, 2.4)}, False),
+    ],
+)
+def test_ratios_to_a_gain_that_positions_do_not_tell_are_compared(monkeypatch, effect, ratios, stays):
+    assert named(monkeypatch, effect, ("lift",), told=False, **ratios) == stays
+
+
 def test_another_joint_and_the_whole_arm_are_judged_by_their_own_numbers(monkeypatch):
-    assert not named(monkeypatch, "torque_constant", ("elbow",), kp=(30.0, 28.0, 32.0))
-    assert named(monkeypatch, "time_delay", ())
+    assert not named(monkeypatch, "torque_constant", ("elbow",), kp=(1.4, 1.6))
+    assert not named(monkeypatch, "time_delay", ())
+    assert named(monkeypatch, "time_delay", (), delay_s=(1.2, 1.6))
+
+
+@pytest.mark.parametrize(("closure", "leaves_gap", "verdict"), [
+    (0.9, False, "explained"), (0.5, False, "unknown"), (0.05, False, "no_gap"), (-0.2, True, "unknown"),
+])  # fmt: skip
+def test_numbers_that_close_nothing_together_are_no_cause(closure, leaves_gap, verdict):
+    cause = Cause("friction_change", ("lift",), 0.4, 0.95, {"coulomb_change": 0.1})
+    selected = SimpleNamespace(leaves_gap=leaves_gap)
+    assert decide_by_position(selected, [], [cause], closure).name == verdict  # type: ignore[arg-type]

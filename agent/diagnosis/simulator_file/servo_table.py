@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,11 @@ from scipy.special import ndtri
 
 from agent.diagnosis.document import Cause
 from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import (
+    DELAY,
     GAIN,
     Group,
     doubtful_gains,
@@ -24,8 +26,9 @@ from agent.model import CATALOGUE
 
 #: Kinds of numbers, in the order of a result.
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
-#: Those of a cause, by what the cause changes in a file.
-_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction")}
+#: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
+_NUMBERS_OF = {GAIN: ("kp",), DELAY: ("delay_s",), "friction": ("damping", "friction")}
+_RATIOS = ("damping", "armature", "friction")
 
 
 def servo_table(found: Explanation) -> dict[str, Any]:
@@ -39,22 +42,11 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     A simulation in steps of h does not tell more: a command arrives within ± h / 2, and implicit damping d, as in the
     file's simulator, counts as h d of inertia. An arm, and a simulator with explicit damping, may have as much more.
     """
-    dataset, fit = found.dataset, found.selected.fit
-    names, servos = dataset.robot.joint_names, dataset.servos
+    dataset, names = found.dataset, found.dataset.robot.joint_names
+    servos = dataset.servos
     assert servos is not None
     doubtful = doubtful_gains(dataset)
-    values = servo_numbers(dataset, found.released.groups, fit.fitted()[0])
-    drives = drive_groups(dataset)
-    wide = released_fit(dataset, drives).with_chosen(fit.chosen)
-    inverse, _ = wide.solve(np.ones(wide.cells, dtype=bool))
-    p = len(dataset.held)
-    spread = float(ndtri((1 + LAW.certain) / 2)) * _deviations(dataset, drives, inverse[:p, :p])
-    for folds in (wide.folds, wide.single):
-        without = [servo_numbers(dataset, drives, wide.fitted(fold)[0]) for fold in folds]
-        spread = np.maximum(spread, jackknife(np.stack(without)))
-    spread[-1] += 0.5 * servos.step
-    free = servo_numbers(dataset, drives, wide.fitted()[0])
-    low, high = np.minimum(values, free) - spread, np.maximum(values, free) + spread
+    values, low, high = _intervals(found, np.asarray)
     more = {"delay_s": np.full(len(names), servos.later), "armature": servos.step * values[1]}
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
@@ -69,18 +61,73 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     return {"servo": table, "scale_from": scale}
 
 
+def _intervals(found: Explanation, form: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
+    """(5, n) value, low and high of a `form` of the numbers (5, n), linear about those with all drives free."""
+    dataset, fit = found.dataset, found.selected.fit
+    assert dataset.servos is not None
+    values = servo_numbers(dataset, found.released.groups, fit.fitted()[0])
+    drives = drive_groups(dataset)
+    wide = released_fit(dataset, drives).with_chosen(fit.chosen)
+    free = servo_numbers(dataset, drives, wide.fitted()[0])
+    inverse, _ = wide.solve(np.ones(wide.cells, dtype=bool))
+    p, normal = len(dataset.held), float(ndtri((1 + LAW.certain) / 2))
+    spread = normal * _deviations(dataset, drives, inverse[:p, :p], free, form)
+    for folds in (wide.folds, wide.single):
+        without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0])) for fold in folds]
+        spread = np.maximum(spread, jackknife(np.stack(without)))
+    spread[-1] += 0.5 * dataset.servos.step
+    values, free = form(values), form(free)
+    return values, np.minimum(values, free) - spread, np.maximum(values, free) + spread
+
+
 def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
-    """The causes but gains and frictions of a joint all of whose intervals hold the file's own numbers."""
-    table, names = servo_table(found)["servo"], found.dataset.robot.joint_names
-    assert found.dataset.servos is not None
-    own = dict(zip(SERVO_NUMBERS, found.dataset.servos.file, strict=True))
+    """The causes but those of servos, on joints all of whose intervals hold the file's own numbers.
+
+    A number may differ by what a right file is expected to leave, `LIMITS.least_error` of its joint's torque. Where
+    positions do not tell the gain, ratios to it are compared: another gain is another friction, damping and rotor.
+    """
+    dataset, names = found.dataset, found.dataset.robot.joint_names
+    assert dataset.servos is not None
+    doubtful, file = doubtful_gains(dataset), dataset.servos.file
+    usual = LIMITS.least_error * _whole_torque(dataset)
+
+    def holds(form: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        _, low, high = _intervals(found, form)
+        more = np.abs(form(file + usual) - form(file))
+        return np.asarray((low - more <= form(file)) & (form(file) <= high + more))
+
+    told, as_ratio = holds(np.asarray), holds(_over_gain)
 
     def differs(cause: Cause) -> bool:
-        kinds = _NUMBERS_OF.get(CATALOGUE[cause.effect].numbers, ())
-        known = [(table[kind][joint], own[kind][joint]) for kind in kinds for joint in map(names.index, cause.joints)]
-        return not known or any(value is None or not value[1] <= file <= value[2] for value, file in known)
+        numbers = CATALOGUE[cause.effect].numbers
+        kinds = _NUMBERS_OF.get(numbers, ())
+        known = []
+        for joint in map(names.index, cause.joints or names):
+            open_gain = joint in doubtful
+            holding = (as_ratio if open_gain else told)[:, joint]
+            of_joint = _RATIOS if open_gain and numbers == GAIN else kinds
+            known += [bool(holding[SERVO_NUMBERS.index(kind)]) for kind in of_joint]
+        return not known or not all(known)
 
     return [cause for cause in causes if differs(cause)]
+
+
+def _over_gain(numbers: np.ndarray) -> np.ndarray:
+    """Numbers (5, n) but the delay over the gain of their joint."""
+    return np.concatenate([numbers[:-1] / np.maximum(numbers[0], 1e-9), numbers[-1:]])
+
+
+def _whole_torque(dataset: Dataset) -> np.ndarray:
+    """(5, n) of each number what would take all of its joint's torque; of a delay nothing."""
+    found = np.zeros((len(SERVO_NUMBERS), dataset.robot.dof))
+    for group in drive_groups(dataset):
+        if group.kind == "friction":
+            found[3, group.joint], found[1, group.joint] = group.scale
+        elif group.kind == GAIN:
+            found[0, group.joint] = group.scale[0]
+        elif group.kind == "rotor inertia":
+            found[2, group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
+    return found
 
 
 def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
@@ -102,21 +149,21 @@ def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray)
     )
 
 
-def _deviations(dataset: Dataset, groups: Sequence[Group], covariance: np.ndarray) -> np.ndarray:
-    """(5, n) standard deviations, from the covariance (p, p) of the change."""
-    servos, b = dataset.servos, len(dataset.model.independent)
-    assert servos is not None
-    n, first = len(servos.kp), len(dataset.model.values)
-    own = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    rotors = np.zeros(n)
-    inverse, at = _inverse(groups), 0
-    for group in groups:
-        if group.kind == "rotor inertia":
-            size = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
-            rotors[group.joint] = size * np.sqrt(max(float(inverse[at] @ covariance @ inverse[at]), 0.0))
-        at += group.directions.shape[1]
-    friction = own[b : b + 2 * n]
-    return np.stack([own[first : first + n], friction[1::2], rotors, friction[::2], own[first + n : first + 2 * n]])
+def _deviations(
+    dataset: Dataset,
+    groups: Sequence[Group],
+    covariance: np.ndarray,
+    free: np.ndarray,
+    form: Callable[[np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """(5, n) standard deviations of a form of the numbers about `free`, from the covariance (p, p) of the change."""
+    p, base = len(covariance), servo_numbers(dataset, groups, np.zeros(len(covariance)))
+    slopes = np.stack([(servo_numbers(dataset, groups, column) - base).ravel() for column in np.eye(p)], axis=1)
+    of_numbers, step = slopes @ covariance @ slopes.T, 1e-4 * np.maximum(np.abs(free), 1e-9).ravel()
+    turned = [(form(free + row.reshape(free.shape)) - form(free)).ravel() for row in np.diag(step)]
+    jacobian = np.stack(turned, axis=1) / step
+    variance = np.einsum("ij,jk,ik->i", jacobian, of_numbers, jacobian)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(free.shape))
 
 
 def _inverse(groups: Sequence[Group]) -> np.ndarray:
