@@ -159,7 +159,9 @@ def _deviations(
     """(5, n) standard deviations of a form of the numbers about `free`, from the covariance (p, p) of the change."""
     p, base = len(covariance), servo_numbers(dataset, groups, np.zeros(len(covariance)))
     slopes = np.stack([(servo_numbers(dataset, groups, column) - base).ravel() for column in np.eye(p)], axis=1)
-    of_numbers, step = slopes @ covariance @ slopes.T, 1e-4 * np.maximum(np.abs(free), 1e-9).ravel()
+    of_numbers = slopes @ covariance @ slopes.T
+    own = np.sqrt(np.maximum(np.diag(of_numbers), 0.0))
+    step = np.where(own > 0, own, 1.0)
     turned = [(form(free + row.reshape(free.shape)) - form(free)).ravel() for row in np.diag(step)]
     jacobian = np.stack(turned, axis=1) / step
     variance = np.einsum("ij,jk,ik->i", jacobian, of_numbers, jacobian)
