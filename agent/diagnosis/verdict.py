@@ -70,19 +70,21 @@ def decide_verdict(
 
 
 def decide_by_position(
-    selected: SelectedCauses, causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None
+    causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None, exceeds: bool
 ) -> Verdict:
     """Return the verdict on positions: effects and moved numbers that have a size, what closes most first.
 
     Most of the gap of a file is often its missing delay, so an effect has its size in what numbers leave. Together they
-    have a size too: numbers that moved along a direction that the motion does not tell may close nothing.
+    have a size too: numbers that moved along a direction that the motion does not tell may close nothing. A gap is
+    where a joint `exceeds` what a right file leaves: no baseline says what of each effect a healthy arm has.
     """
     sized = tuple(sorted((*causes, *numbers), key=lambda cause: -(cause.closure or 0.0)))
-    if closure is None or closure < LIMITS.least_share:
-        sized = ()
-    if sized and closure is not None and (sized[0].equivalent_to or closure >= LIMITS.explained):
-        return Verdict("ambiguous" if sized[0].equivalent_to else "explained", sized, closure)
-    return Verdict("unknown" if selected.leaves_gap or sized else "no_gap", (), closure)
+    if sized and closure is not None and closure >= LIMITS.least_share:
+        if sized[0].equivalent_to:
+            return Verdict("ambiguous", sized, closure)
+        if closure >= LIMITS.explained:
+            return Verdict("explained", sized, closure)
+    return Verdict("unknown" if exceeds else "no_gap", (), closure)
 
 
 def _explanation(causes: Sequence[Cause], closure: float | None) -> Verdict | None:

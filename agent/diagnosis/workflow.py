@@ -10,10 +10,12 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
+from agent.diagnosis.document import Cause
 from agent.diagnosis.gap.adequacy import remainders
 from agent.diagnosis.gap.drives_off import as_evidence, channel_zero, said_by_zero
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
+from agent.diagnosis.gap.torque_gap import HeldOutGap
 from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path
@@ -116,14 +118,28 @@ def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
     numbers = causes_of_numbers(found.released, found.selected, found.as_given)
     if found.dataset.servos is not None:
         whole = causes_of(found.dataset, found.selected, found.as_given)
-        sized = [of_all for of_all, of_rest in zip(whole, causes, strict=True) if has_size(of_rest)]
+        pairs = zip(whole, causes, strict=True)
+        sized = _beyond_usual(found, found.gap, [of_all for of_all, of_rest in pairs if has_size(of_rest)])
         doubted = {remainder.joint for remainder in remainders(found.dataset, found.gap)}
         told = [one for one in numbers if has_size(one) and doubted.isdisjoint(one.joints)]
-        return decide_by_position(found.selected, sized, differing(found, told), found.as_given.closure)
+        differ = _beyond_usual(found, found.as_given, differing(found, told))
+        exceeds = bool(_exceeds(found, found.as_given).any())
+        return decide_by_position(sized, differ, found.as_given.closure, exceeds)
     of_path = [name for name in effects_of_path() if name in found.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     verdict = decide_verdict(found.selected, causes, gap.closure, path, numbers, by_numbers)
     return with_numbers(verdict, found, numbers) if found.of_file else verdict
+
+
+def _exceeds(found: Explanation, gap: HeldOutGap) -> np.ndarray:
+    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`)."""
+    return np.asarray(gap.before * gap.unit >= LIMITS.usual_error * found.selected.fit.sigma.min(axis=0))
+
+
+def _beyond_usual(found: Explanation, gap: HeldOutGap, causes: Sequence[Cause]) -> list[Cause]:
+    """The causes one of whose joints errs by more than a right file does."""
+    names, exceeds = found.dataset.robot.joint_names, _exceeds(found, gap)
+    return [cause for cause in causes if exceeds[[names.index(name) for name in cause.joints or names]].any()]
 
 
 def check_effects(names: Sequence[str]) -> None:

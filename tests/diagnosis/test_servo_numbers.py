@@ -8,6 +8,7 @@ import pytest
 from agent.diagnosis.document import Cause
 from agent.diagnosis.simulator_file import servo_table
 from agent.diagnosis.verdict import decide_by_position
+from agent.diagnosis.workflow import _beyond_usual
 
 NAMES = ("lift", "elbow")
 #: Rows of the file's numbers: gain, damping, armature, friction, delay.
@@ -75,14 +76,23 @@ def test_ratios_to_a_gain_that_positions_do_not_tell_are_compared(monkeypatch, e
 
 def test_another_joint_and_the_whole_arm_are_judged_by_their_own_numbers(monkeypatch):
     assert not named(monkeypatch, "torque_constant", ("elbow",), kp=(1.4, 1.6))
-    assert not named(monkeypatch, "time_delay", ())
-    assert named(monkeypatch, "time_delay", (), delay_s=(1.2, 1.6))
+    assert named(monkeypatch, "time_delay", ())
 
 
-@pytest.mark.parametrize(("closure", "leaves_gap", "verdict"), [
-    (0.9, False, "explained"), (0.5, False, "unknown"), (0.05, False, "no_gap"), (-0.2, True, "unknown"),
+@pytest.mark.parametrize(("closure", "exceeds", "verdict"), [
+    (0.9, True, "explained"), (0.5, True, "unknown"), (0.05, False, "no_gap"), (-0.2, True, "unknown"),
 ])  # fmt: skip
-def test_numbers_that_close_nothing_together_are_no_cause(closure, leaves_gap, verdict):
+def test_numbers_that_close_nothing_together_are_no_cause(closure, exceeds, verdict):
     cause = Cause("friction_change", ("lift",), 0.4, 0.95, {"coulomb_change": 0.1})
-    selected = SimpleNamespace(leaves_gap=leaves_gap)
-    assert decide_by_position(selected, [], [cause], closure).name == verdict  # type: ignore[arg-type]
+    assert decide_by_position([], [cause], closure, exceeds).name == verdict
+
+
+@pytest.mark.parametrize(("error", "stays"), [(1e-3, False), (3e-3, True)])
+def test_an_effect_on_a_joint_that_errs_as_a_right_file_does_is_no_cause(error, stays):
+    fit = SimpleNamespace(sigma=np.full((5, 2), 1e-3))
+    dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=NAMES))
+    found = SimpleNamespace(dataset=dataset, selected=SimpleNamespace(fit=fit))
+    gap = SimpleNamespace(before=np.array([error, 1e-4]), unit=np.ones(2))
+    causes = [Cause("presliding", ("lift",), 0.4, 0.95, {}), Cause("payload", (), 0.4, 0.95, {})]
+    assert _beyond_usual(found, gap, causes) == (causes if stays else [])  # type: ignore[arg-type]
+    assert _beyond_usual(found, gap, [Cause("presliding", ("elbow",), 0.4, 0.95, {})]) == []  # type: ignore[arg-type]
