@@ -45,15 +45,15 @@ def write(job: Mapping[str, Any]) -> dict[str, Any]:
     if plain is not None and frames["clipped"]:
         lag = max(float(np.abs(r - q).max()) for r, q in zip(targets, plain, strict=True))
         recorder = replace(recorder, nearest=_NEAREST * lag)
-    found = _recorded(arm, truth["effects"], targets, recorder, seed)
+    positions = _recorded(arm, truth["effects"], targets, recorder, seed)
     folder.mkdir(parents=True, exist_ok=True)
     file, real = _file_and_arm(arm, truth["effects"])
     (folder / "arm.xml").write_text(file.mjcf(), encoding="utf-8")
-    (_lerobot if frames["format"] == "lerobot" else _tables)(folder / "logs", arm, frames["rate"], targets, found)
+    (_lerobot if frames["format"] == "lerobot" else _tables)(folder / "logs", arm, frames["rate"], targets, positions)
     numbers = {name: values.tolist() for name, values in real.numbers.items()}
     late = sum(effect["parameters"].get("delay", 0.0) for effect in truth["effects"])
     numbers["delay_s"] = [value + late for value in numbers["delay_s"]]
-    size = None if not truth["effects"] or plain is None else change_over_limit(arm, found, plain)
+    size = None if not truth["effects"] or plain is None else change_over_limit(arm, positions, plain)
     return {"size": size, "numbers": numbers}
 
 
@@ -62,7 +62,9 @@ def _targets(arm: DrawnArm, motions: str, rate: float, seconds: float, seed: int
     rng = np.random.default_rng([seed, 23])
     low, high = arm.start - 0.9 * arm.half, arm.start + 0.9 * arm.half
     speed = np.minimum(0.5 * arm.limit / arm.numbers["damping"], _FASTEST)
-    planned = [one.set_points for one in excitation(SetPointLimits(low, high, arm.start, speed), rate)]
+    planned = [
+        planned_motion.set_points for planned_motion in excitation(SetPointLimits(low, high, arm.start, speed), rate)
+    ]
     led = [reaches(arm, rate, seconds, float(speed.min()), rng) for _ in planned]
     return {"planned": planned, "led": led, "both": [planned[0], led[1]]}[motions]
 

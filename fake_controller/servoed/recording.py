@@ -62,15 +62,15 @@ def record(
     command, whole = set_points[0].tolist(), [0.0] * n
     kept, loads = dt / (dt + arm.lag), list(machine.joint_loads.items())
     gains = list(zip(arm.kp.tolist(), arm.kv.tolist(), arm.limit.tolist(), arm.top_speed.tolist(), strict=True))
-    step, found = arm.encoder, np.empty_like(set_points)
+    step, positions = arm.encoder, np.empty_like(set_points)
     for k in range(int(frames[-1]) + 1):
         predicted = v + 0.5 * dt * a
         link, speed = q.tolist(), predicted.tolist()
         seen, turning = (link, speed) if arm.on_link else drive.motors(link, speed)
         counted = [step * round(angle / step) for angle in seen]
         if (frame := reading.get(k)) is not None:
-            found[frame] = counted
-            sent = np.clip(set_points[frame], found[frame] - recorder.nearest, found[frame] + recorder.nearest)
+            positions[frame] = counted
+            sent = np.clip(set_points[frame], positions[frame] - recorder.nearest, positions[frame] + recorder.nearest)
             arriving[k + wait] = np.clip(sent, low, high).tolist()
         command = arriving.pop(k, command)
         weaker = 1.0 / (1.0 + fault.sag * sum(map(abs, torque)))
@@ -83,12 +83,12 @@ def record(
             torque[j] += kept * (min(max(wanted, -most), most) - torque[j])
         pull = np.array(drive.step(k * dt, link, speed, torque, dt))
         for j, some in loads:
-            for one in some:
-                pull[j] += one.torque(link[j], speed[j], dt)
+            for load in some:
+                pull[j] += load.torque(link[j], speed[j], dt)
         a = accelerate(q, predicted, pull)
         v = v + dt * a
         q = q + dt * v
-    return found
+    return positions
 
 
 def reaches(arm: DrawnArm, rate: float, seconds: float, fastest: float, rng: np.random.Generator) -> np.ndarray:
@@ -116,5 +116,5 @@ def reaches(arm: DrawnArm, rate: float, seconds: float, fastest: float, rng: np.
 
 def change_over_limit(arm: DrawnArm, runs: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> float:
     """Largest root mean square change of a joint's position by effects, as torque of its servo over its limit."""
-    change = np.concatenate([one - other for one, other in zip(runs, others, strict=True)])
+    change = np.concatenate([run - other for run, other in zip(runs, others, strict=True)])
     return float(np.max(np.sqrt(np.mean(change**2, axis=0)) * arm.kp / arm.limit))
