@@ -65,6 +65,16 @@ def test_what_the_arm_has_is_no_fault_on_a_faster_motion(plant, model, more, nam
     assert {cause["effect"] for cause in diagnose(plant.robot, [log], model).result["causes"]} == named
 
 
+def test_torque_that_the_recorder_of_the_only_log_delays_is_no_fault(plant):
+    logs = [changed(record(plant, *motion), 6e-3) for motion in (("only", 21, 0.5), ("new", 31))]
+    plain = estimate(plant.robot, logs[:1])
+    causes = [
+        [cause["effect"] for cause in diagnose(plant.robot, logs[1:], one).result["causes"]]
+        for one in (plain, with_healthy_effects(plain, logs[:1]))
+    ]
+    assert causes == [["time_delay"], []]
+
+
 def filtered(monkeypatch, work):
     """How many samples pass a filter: most of the time goes there, and other jobs on the machine do not change it."""
     count, respond = [0], filtering._respond

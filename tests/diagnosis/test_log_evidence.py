@@ -165,7 +165,8 @@ def case(request):
         for joint, block in forms[number].blocks.items():
             left[joint] += size * block.sum(axis=1)
     fit = fit.with_residual(np.stack(left, axis=1) * ([1, 0.05] if request.param == "file" else 1))
-    amounts = [HealthyForm(forms[k], np.linspace(0.05, 0.1, len(forms[k].names))) for k in (1, 4, 5)]
+    each = {k: np.linspace(0.05, 0.1, len(forms[k].names)) for k in (1, 4, 5)}
+    amounts = [HealthyForm(forms[k], amount, 0 * amount, amount) for k, amount in each.items()]
     healthy = {"healthy": amounts, "drawn": None, "file": ()}
     with patch.object(pool, "_AT_ONCE", 1):
         evidence = Evidence(fit, forms, healthy[request.param], THE_LAW)

@@ -15,6 +15,7 @@ import numpy as np
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.noise_model import Healthy, HealthyForm
 from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.fit import Fit
@@ -32,7 +33,7 @@ def with_healthy_effects(
     """Return the model with what the effects explain of its error while the arm is healthy.
 
     Each log of the baseline is judged by parameters fitted to the others, and logs that were `held_out` by the model
-    itself, all together. With one log alone nothing can be learned, and the model is returned as it is.
+    itself, all together. One log alone is judged by halves: they show, for one, a torque that its recorder delays.
 
     Args:
         model: identified from the baseline.
@@ -40,6 +41,8 @@ def with_healthy_effects(
         held_out: healthy logs that the model was not fitted to.
     """
     baseline, held_out = ([_beginning(log) for log in logs] for logs in (baseline, held_out))
+    if alone := len(baseline) == 1 and not held_out:
+        baseline = _halves(baseline[0])
     learned = [_judged(model, held_out)] if held_out else []
     learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
     largest: dict[HypothesisKey, tuple[float, list[HealthyEffect]]] = {}
@@ -47,12 +50,21 @@ def with_healthy_effects(
         for place, (size, entries) in _effects(forms, shown, model.robot.joint_names).items():
             if size >= largest.get(place, (0.0, []))[0]:
                 largest[place] = size, entries
-    return replace(model, healthy=tuple(entry for _, entries in largest.values() for entry in entries))
+    healthy = [entry for _, entries in largest.values() for entry in entries]
+    return replace(model, healthy=tuple(replace(entry, value={}) if alone else entry for entry in healthy))
 
 
 def _beginning(log: Log) -> Log:
     start = float(log.t[0])
     return log if log.t[-1] - start <= _LONGEST else log.between(start, start + _LONGEST)
+
+
+def _halves(log: Log) -> list[Log]:
+    """Both halves of a log, or the log if it has gaps or they would be too short to be judged."""
+    start, middle, end = float(log.t[0]), float(log.t[0] + log.t[-1]) / 2, float(log.t[-1])
+    if len(log.segments) > 1 or middle - start < LIMITS.shortest:
+        return [log]
+    return [log.between(start, middle), log.between(middle, end)]
 
 
 @dataclass(frozen=True, eq=False)

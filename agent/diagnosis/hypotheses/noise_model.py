@@ -58,7 +58,7 @@ class NoiseModel:
     fit : Fit
         Residual and columns of the model on the logs.
     candidates : sequence of Candidate
-        Their effects that every arm has a little of count as usual if nothing is known about this arm.
+        Their effects that every arm has a little of count as usual unless several logs of this arm were compared.
     healthy : sequence of HealthyForm, optional
         Effects that the healthy arm has. None if nothing is known.
     law : EvidenceLaw
@@ -81,7 +81,9 @@ class NoiseModel:
         q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
         self.log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
         self._logs = [slice(a, b) for a, b in pairwise(np.flatnonzero(np.diff(log, prepend=-1, append=-1)).tolist())]
-        usual = self._usual(candidates) if healthy is None else {}
+        # what the only log of a baseline shows has no scatter, and its motion shows little of other effects
+        unknown = healthy is None or (healthy and all(one.mean is None for one in healthy))
+        usual = self._usual(candidates) if unknown else {}
         healthy = healthy or ()
         own_model = fit.given and fit.reference.model.method != SIMULATOR
         spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))

@@ -12,7 +12,7 @@ from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.posterior import Observed, compare
 from agent.diagnosis.hypotheses.score import Evaluated
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
-from agent.diagnosis.rows.candidate import Candidate, HypothesisKey, Wanted
+from agent.diagnosis.rows.candidate import TOGETHER, Candidate, HypothesisKey, Wanted
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.needs import MotionCoverage
 from agent.model import CATALOGUE
@@ -21,7 +21,6 @@ _LEADERS = 8  # hypotheses whose nonlinear parameters are refined
 _FIRST, _THEN = 12, 6  # numerical: hypotheses that are evaluated after nothing, and after another hypothesis
 _FORMS = 3  # numerical: parameterisations per hypothesis
 _EXTENDED = (3, 2)  # numerical: hypotheses that one more effect is tried with, by how many they have
-_TOGETHER = 64  # numerical: forms made before their rows are released
 _FACTORS = (1.25, 1.1, 1.04, 1.015)  # numerical: of nonlinear parameters, up and down
 
 Key = tuple[frozenset[HypothesisKey], frozenset[int]]
@@ -73,7 +72,7 @@ class Search:
         """Evaluate the promising hypotheses, and compare them."""
         wanted = self._grid()
         usual = {(effect, joints): (effect, joints, s) for effect, joints, s in reversed(wanted) if effect.usual}
-        first = [] if self._healthy is not None else self._stable(list(usual.values()))
+        first = self._stable(list(usual.values()))
         self.evidence = evidence = Evidence(self.fit, first, self._healthy)
         self._known.update(first)
         self._add(self.fit, wanted)
@@ -192,8 +191,8 @@ class Search:
         return gains, values
 
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
-        for start in range(0, len(wanted), _TOGETHER):
-            some = fit.candidates(wanted[start : start + _TOGETHER])
+        for start in range(0, len(wanted), TOGETHER):
+            some = fit.candidates(wanted[start : start + TOGETHER])
             new = [c for c in dict.fromkeys(some) if c not in self._known and c.stable]
             self._known.update(new)
             self.evidence.pool.add(new)

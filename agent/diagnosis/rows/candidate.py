@@ -18,7 +18,7 @@ Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 _Motions = Sequence[tuple[MotionSignals, np.ndarray]]  # each with its noise level (S', n) [N·m]
 
 _AT_ONCE = 16  # numerical: columns filtered together, so that they stay in the cache
-_TOGETHER = 16  # numerical: candidates made together: their intermediate arrays take as much memory as they do
+TOGETHER = 64  # numerical: candidates made together: their intermediate arrays take as much memory as they do
 
 
 class Blocks(Mapping[int, np.ndarray]):
@@ -133,8 +133,8 @@ def _all_columns(motions: _Motions, wanted: Sequence[Wanted]) -> list[dict[int, 
     kinds, signals = {effect for effect, *_ in wanted}, [signals for signals, _ in motions]
     for kind in kinds:
         kind.prepare(signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
-    starts = range(0, len(wanted), _TOGETHER)
-    made = [made for first in starts for made in _columns(motions, wanted[first : first + _TOGETHER])]
+    starts = range(0, len(wanted), TOGETHER)
+    made = [made for first in starts for made in _columns(motions, wanted[first : first + TOGETHER])]
     for kind in kinds:
         kind.release(signals)
     return made
