@@ -61,7 +61,7 @@ MISTAKES = {
         "effort": log.effort[:, [0, 2, 1, 3, 4, 5]],
         "velocity": None,
     },
-    "0.5 times the derivative": lambda log: {"velocity": 0.5 * np.gradient(log.position, log.t, axis=0)},
+    "0.8 times the derivative.*rate": lambda log: {"velocity": 0.8 * np.gradient(log.position, log.t, axis=0)},
     "-1 times the derivative.*flipped": lambda log: {"velocity": -np.gradient(log.position, log.t, axis=0)},
 }
 

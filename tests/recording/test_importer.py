@@ -80,7 +80,7 @@ def test_joint_side_columns_are_imported_unchanged(convert, table):
 def test_applies_units_scales_and_offsets(convert, table):
     path, values = table
     log, _ = convert(
-        "time: {column: time, unit: ms}\n"
+        "time: {column: time, unit: min}\n"
         "position: {columns: [q1, q2], unit: [deg, mm], scale: [2, -1], offset: [90 deg, 10 mm]}\n"
         "velocity: {columns: [v1, v2], unit: [rpm, m/min]}\n"
         "effort: {columns: [6, 7], unit: [Nm, kN]}\n",
@@ -90,7 +90,9 @@ def test_applies_units_scales_and_offsets(convert, table):
     np.testing.assert_allclose(log.position, q, rtol=1e-14)
     np.testing.assert_allclose(log.velocity, values[:, 3:5] * [np.pi / 30, 1 / 60], rtol=1e-14)
     np.testing.assert_allclose(log.effort, values[:, 5:7] * [1, 1000], rtol=1e-14)
-    assert log.sample_rate == pytest.approx(200e3)
+    assert log.sample_rate == pytest.approx(200 / 60)
+    with pytest.raises(InputError, match=r"time.unit: rows are 5e-06 s apart .* too near for an arm: is ms right"):
+        convert("time: {column: time, unit: ms}\nposition: {columns: [q1, q2]}\n", path)
 
 
 def test_converts_motor_side_columns_by_gears_and_coupling(convert, table):
@@ -255,6 +257,11 @@ def test_rows_that_were_lost_show_against_the_velocity(convert, tmp_path, share)
     recovered = round(100 * log.t[-1]) + 1 - len(kept)  # but for what was lost while the arm hardly moved
     assert 0.7 * (2000 - len(kept)) <= recovered <= 2000 - len(kept)
     assert any("rows are missing at" in note for note in notes)
+    block = np.r_[0:600, 700:2000]
+    path = _save(tmp_path / "block.csv", "q1,q2,v1,v2", q[block], v[block])
+    log, notes = convert("rate: 100 Hz\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2]}\n", path)
+    assert log.segments == ((0, 600), (600, 1900))
+    assert any("first after row 600: positions jump" in note for note in notes)
     whole = _save(tmp_path / "whole.csv", "q1,q2,v1,v2", q, v)
     log, notes = convert("rate: 100 Hz\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2]}\n", whole)
     assert not any("missing" in note for note in notes)

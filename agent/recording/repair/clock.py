@@ -20,6 +20,8 @@ _BEHIND, _CUT = 20, 1.0
 _FEWEST, _ALIKE, _PAUSE, _WAITING, _REGULAR, _FURTHER = 3, 0.9, 5.0, 0.8, 0.25, 3.0
 #: Of a lost row: steps by their velocity, at least this part of the largest; and how near the way is to whole steps.
 _CLEAR, _WHOLE = 0.2, 0.25
+#: Of many lost rows: how far a step goes beyond its velocity, in large steps; rows in which a spike is over.
+_JUMP, _SPIKE = 2.0, 5
 
 
 def unwrapped(stamp: np.ndarray) -> tuple[np.ndarray, list[Repair]]:
@@ -94,22 +96,34 @@ def with_lost_rows(stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray
     """Stamps (S,) [ns] of rows that are counted and not stamped, with the time of those that are missing.
 
     Between two rows joints go by their velocity (S, n) for one period, or for two where a row was lost: the way over
-    that by velocity is then 2, for all joints alike. Slow steps do not show it.
+    that by velocity is then 2, for all joints alike. Slow steps do not show it. Where positions jump and stay, an
+    unknown number of rows was lost: what follows comes a second later, as a segment of its own.
     """
     step = np.diff(stamp)
     by_velocity = 0.5 * (velocity[1:] + velocity[:-1]) * step[:, None] / NANO
     way, square = np.diff(position, axis=0), np.sum(by_velocity**2, axis=1)
-    clear = square > (_CLEAR**2) * np.quantile(square, 0.95)
+    large = np.quantile(square, 0.95)
+    clear = square > _CLEAR**2 * large
     times = np.sum(way * by_velocity, axis=1) / np.where(square > 0, square, 1.0)
     left = np.sum((way - times[:, None] * by_velocity) ** 2, axis=1)
     periods = np.rint(times)
     # a velocity that is not the derivative of its position says nothing
     agrees = clear.any() and np.median(np.abs(times[clear] - 1)) < _WHOLE / 2
     lost = clear & (periods >= 2) & (np.abs(times - periods) < _WHOLE) & (left < _WHOLE**2 * np.sum(way**2, axis=1))
-    if not agrees or not lost.any():
+    if not agrees:
         return stamp, []
+    beyond = np.pad(np.cumsum(way - by_velocity, axis=0), ((_SPIKE + 1, _SPIKE), (0, 0)), mode="edge")
+    jump, lasting = way - by_velocity, beyond[2 * _SPIKE + 1 :] - beyond[: -2 * _SPIKE - 1]
+    cut = ~lost & (np.minimum(np.sum(jump**2, axis=1), np.sum(lasting**2, axis=1)) > _JUMP**2 * large)
     missing = np.where(lost, periods - 1, 0).astype(np.int64)
-    places = f"{counted(int(lost.sum()), 'place')}, first after row {int(np.argmax(lost)) + 1}"
-    kind = f"rows are missing at {places}: positions move on by more than the velocity says; their time is added; rows"
-    shifted = stamp + np.append(0, np.cumsum(missing * step))
-    return shifted, [Repair(kind, float(stamp[np.argmax(lost)] - stamp[0]) / NANO, int(missing.sum()))]
+    repairs = []
+    for places, what in (
+        (lost, "move on by more than the velocity says; their time is added"),
+        (cut, "jump; cut there"),
+    ):
+        if places.any():
+            first, count = int(np.argmax(places)), int(missing.sum() if places is lost else cut.sum())
+            where = f"{counted(int(places.sum()), 'place')}, first after row {first + 1}"
+            kind = f"rows are missing at {where}: positions {what}{'; rows' if places is lost else ''}"
+            repairs.append(Repair(kind, float(stamp[first] - stamp[0]) / NANO, count))
+    return stamp + np.append(0, np.cumsum(missing * step + cut * int(_CUT * NANO))), repairs
