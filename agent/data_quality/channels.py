@@ -13,7 +13,8 @@ from agent.robot import RobotDescription
 _NOTHING = 1e-12  # N·m or N by which no torque changes that is one
 _MAX_LAG = 0.2  # rad or m that a joint that is asked to go does not stay behind, however weak its servo
 _SLOW, _NOISE = 0.005, 0.1  # of a joint's highest speed, and of a velocity's square: below and above it none moves
-_RATES = (0.85, 1.15)  # velocity over derivative of position: between them filters (39 logs of four arms: 0.92 to 1.05)
+_RATES = (0.7, 1.4)  # velocity over derivative of position: between them filters and lag
+_COMMON = 0.88  # of all joints alike, or its inverse; 39 logs of four arms have 0.92 to 1.05
 _DEGREE = 180 / np.pi
 _TIMES, _LATE = 5.0, 0.010  # of the highest speed, and s: as the reader allows for stamps that are late
 _JUMPS = 0.01  # of the samples; fewer are repaired by the reader
@@ -176,7 +177,10 @@ def velocity_mismatch(of: Recordings) -> Iterator[QualityFinding]:
         if log.velocity is None:
             continue
         ratios = {name: _velocity_ratio(log, k) for k, name in enumerate(log.joint_names)}
-        wrong = {name: r for name, r in ratios.items() if r is not None and not _RATES[0] <= r <= _RATES[1]}
+        known = {name: r for name, r in ratios.items() if r is not None}
+        wrong = {name: r for name, r in known.items() if not _RATES[0] <= r <= _RATES[1]}
+        if known and (max(known.values()) < _COMMON or min(known.values()) > 1 / _COMMON):
+            wrong = known
         if wrong:
             ratio = float(np.median(list(wrong.values())))
             slides = {joint.name for joint in of.robot.joints if joint.prismatic}

@@ -284,8 +284,9 @@ def frame_id(model: pin.Model, name: str) -> int:
 
 
 def _without_meshes(urdf: str) -> str:
-    """Drop visual and collision geometry, and give continuous joints one coordinate."""
+    """Drop visual and collision geometry, give continuous joints one coordinate, and the robot a name."""
     tree = ElementTree.fromstring(urdf)
+    tree.set("name", tree.get("name") or "robot")
     for link in tree.findall("link"):
         for kind in ("visual", "collision"):
             for geometry in link.findall(kind):
