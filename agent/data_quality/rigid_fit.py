@@ -60,7 +60,8 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
         for motion in filtered:
             assert motion.torque is not None
             still = 0.01 * np.maximum(np.abs(motion.qd).max(axis=0), 1e-9)
-            signals = (motion.q, motion.qd, motion.qdd, motion.torque, np.tanh(motion.qd / still))
+            torque = np.where(motion.braked, 0.0, motion.torque)
+            signals = (motion.q, motion.qd, motion.qdd, torque, np.tanh(motion.qd / still))
             parts.append(motion.low_pass(np.hstack(signals)))
             folds.append(_held_together(motion.time[motion.kept], motion.cycle_starts))
             independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
@@ -106,7 +107,8 @@ class RigidFit:
         coupling, offset = self.robot.coupling, np.eye(self.robot.dof)
         friction = [coupling.T[None] * column[:, None, :] for column in (s.direction, s.qd @ coupling.T)]
         bodies = self.regressor(s.q, s.qd, s.qdd)
-        self.columns = np.concatenate([bodies, *friction, np.broadcast_to(offset, (len(s.q), *offset.shape))], axis=2)
+        columns = np.concatenate([bodies, *friction, np.broadcast_to(offset, (len(s.q), *offset.shape))], axis=2)
+        self.columns = columns * (s.torque != 0)[:, :, None]  # a brake holds the others
         self.precision = self._sizes() ** -2 * _PRIOR_WEIGHT * s.rows_each if precision is None else precision
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:

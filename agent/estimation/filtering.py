@@ -99,6 +99,7 @@ _BRIDGED = 1.0
 _FAR = 1e9  # of the cut-off: beyond it nothing passes, and a power of it would overflow
 _HALF_BAND = 4.0  # half of a transition band, in standard deviations of the Gaussian that makes it
 _PIECE = 30_000  # samples worked on at a time
+_BRAKED = 1e-4, 1e-9  # rad or m, and N·m or N, by which neither position nor torque of a braked joint changes
 _TOGETHER = 16  # signals transformed at a time, so that they stay in the cache
 
 
@@ -137,6 +138,13 @@ class Motion:
     pass_edge: float
     edge: int
     step: int
+
+    @property
+    def braked(self) -> np.ndarray:
+        """(n,) joints at standstill with constant torque: a brake holds them, and no measured torque says with what."""
+        assert self.torque is not None
+        least = zip((self.q, self.torque), _BRAKED, strict=True)
+        return np.logical_and.reduce([np.ptp(values, axis=0) <= limit for values, limit in least])
 
     def low_pass(self, signals: np.ndarray, every: int = 1) -> np.ndarray:
         """(S, m) signals of this motion → (S', m) filtered at the cut-off, edges dropped, every `step`-th sample.

@@ -135,9 +135,13 @@ def observe(rigid: RigidBodies, logs: Sequence[Log], settings: FilterSettings) -
 
 
 def filtered(rigid: RigidBodies, log_index: int, motion: Motion, scratch: Scratch) -> Segment:
-    """Regressor columns of one motion and its torque, through the same filter; unfiltered torque is not kept."""
+    """Regressor columns of one motion and its torque, through the same filter; unfiltered torque is not kept.
+
+    Those of a joint that its brake holds are zero.
+    """
     assert motion.torque is not None
-    signals = scratch.keep(motion.low_pass(np.hstack([motion.torque, motion.qd])))
+    braked = motion.braked
+    signals = scratch.keep(motion.low_pass(np.hstack([np.where(braked, 0.0, motion.torque), motion.qd])))
     torque, speed = np.split(signals, 2, axis=1)
     q, qd, qdd = (scratch.keep(values) for values in (motion.q, motion.qd, motion.qdd))
     set_points = None if motion.set_points is None else scratch.keep(motion.set_points)
@@ -147,7 +151,10 @@ def filtered(rigid: RigidBodies, log_index: int, motion: Motion, scratch: Scratc
         time=motion.time[motion.kept],
         speed=speed,
         torque=torque,
-        rigid=rigid_columns(rigid, motion, scratch),
+        rigid=tuple(
+            np.zeros_like(columns) if still else columns
+            for columns, still in zip(rigid_columns(rigid, motion, scratch), braked, strict=True)
+        ),
     )
 
 
