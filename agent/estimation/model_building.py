@@ -56,6 +56,7 @@ def build_model(problem: Problem, fit: Estimate, method: str, logs: Sequence[Log
             "link_prior": problem.links,
             "range": fitted_range(observation),
             "open_directions": len(silent),
+            "doubts": list(_doubts(problem.observation)),
         },
     )
     model = replace(model, values=np.where(model.unmoved, problem.prior.mean, model.values))
@@ -90,9 +91,9 @@ def _notes(model: IdentifiedModel, problem: Problem, fit: Estimate, silent: np.n
         if problem.terms == paper_terms([Reversal()] * model.robot.dof, ("offset",)):
             yield (
                 "Friction: Coulomb, viscous and an offset per axle; further terms, and sliding that reverses more "
-                "smoothly, do not predict held-out segments clearly better."
+                "smoothly, do not lower the held-out error."
             )
-    yield from _doubts(problem.observation)
+    yield from model.provenance["doubts"]
     if problem.observation.noisy is not None:
         yield (
             f"Record positions with more digits to use faster motion: above the cut-off of {model.cutoff:g} Hz their "

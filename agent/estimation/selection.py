@@ -36,7 +36,7 @@ def choose(estimates: dict[str, Estimate]) -> tuple[str, Estimate]:
     table = ", ".join(f"{name} {np.sqrt(error.sum() / errors[first].sum()):.3f}" for name, error in errors.items())
     reason = f"It predicts held-out segments clearly better than {first}"
     if not better:
-        reason = "The other methods do not predict held-out segments clearly better"
+        reason = "No other method lowers the held-out error enough"
     notes = [f"Method: {best}. {reason} (held-out error relative to {first}: {table}).", estimates[best].note]
     if errors["consistent"].sum() > _NOT_PHYSICAL**2 * errors[first].sum():
         notes.append(

@@ -16,7 +16,7 @@ from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.model_file import ModelDocument, check_model
 from agent.model.regimes import RESTS
 from agent.model.rigid_friction import HealthyEffect, ModelEffect, ParameterPrior, RigidFrictionModel
-from agent.robot import RobotDescription
+from agent.robot import RobotDescription, torque_units
 
 SCHEMA = "model/1"
 
@@ -49,15 +49,20 @@ class IdentifiedModel(RigidFrictionModel):
         They are what was held before the data.
         """
         unmoved = np.zeros(len(self.values), dtype=bool)
-        if "range" not in self.provenance:
-            return unmoved
-        travelled = np.subtract(*(np.array(self.provenance["range"][key]) for key in ("highest", "lowest")))
-        still = (self.robot.coupling != 0) @ (travelled > RESTS * self.robot.max_velocity) == 0
+        still = (self.robot.coupling != 0) @ ~self._resting == 0
         first, b = len(self.standard_names) - self.robot.dof, len(self.independent)  # rotors come last
         for row, (combined, parameter) in enumerate(zip(self.projection, self.independent, strict=True)):
             unmoved[row] = parameter >= first and np.count_nonzero(combined) == 1 and still[parameter - first]
         unmoved[b:] = [bool(still[term.axle]) and term.form != "offset" for term in self.terms]
         return unmoved
+
+    @property
+    def _resting(self) -> np.ndarray:
+        """(n,) bool: joints that stood still in the fit's logs; none where the file does not say."""
+        if "range" not in self.provenance:
+            return np.zeros(self.robot.dof, dtype=bool)
+        travelled = np.subtract(*(np.array(self.provenance["range"][key]) for key in ("highest", "lowest")))
+        return np.asarray(travelled <= RESTS * self.robot.max_velocity)
 
     def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
         """(S, n) joint torque [N·m] of consecutive samples (S, n) at `time` (S,) [s], which only effects may need.
@@ -138,12 +143,36 @@ class IdentifiedModel(RigidFrictionModel):
         lines.append(f"held-out RMSE: {errors}")
         return "\n".join([*self._too_little_motion(), *lines, *self.notes])
 
+    def summary(self, next_step: str) -> str:
+        """What to do (`next_step` unless motion is missing), friction and held-out error of every joint, and doubts."""
+        units = torque_units(self.robot)
+        rows = [("joint", "Coulomb", "viscous", "held-out RMSE", "")]
+        for k, (joint, unit) in enumerate(zip(self.robot.joints, units, strict=True)):
+            friction = [self._friction_cell(k, form) for form in ("coulomb", "viscous")]
+            rows.append((joint.name, *friction, f"{self.held_out_rmse[k]:.3g}", f"{unit} and {self._viscous_unit(k)}"))
+        widths = [max(len(row[k]) for row in rows) for k in range(5)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        doubts = [note for note in self.notes if note in self.provenance.get("doubts", ())]
+        return "\n".join([*(list(self._too_little_motion()) or [next_step]), *lines, *doubts])
+
+    def _friction_cell(self, axle: int, form: str) -> str:
+        for k, term in enumerate(self.terms, len(self.independent)):
+            if term.axle == axle and term.form == form:
+                value, deviation = self.values[k], self.standard_deviations[k]
+                return "stood still" if self.unmoved[k] else f"{value:.4g} ± {_NORMAL_95 * deviation:.2g}"
+        return "-"
+
+    def _viscous_unit(self, axle: int) -> str:
+        return "N·s/m" if self.robot.joints[axle].prismatic else "N·m·s/rad"
+
     def _too_little_motion(self) -> Iterator[str]:
         count, missing = len(self.values), self.provenance.get("open_directions", 0)
+        resting = [name for name, rests in zip(self.robot.joint_names, self._resting, strict=True) if rests]
+        still = f" ({', '.join(resting)} stood still)" if resting else ""
         if missing > _MANY_OPEN * count:
             yield (
-                f"Too little motion: these logs leave {missing} of {count} combinations of parameters open. Record "
-                "more motion, every joint both ways and in other postures, then estimate again."
+                f"Too little motion: these logs leave {missing} of {count} combinations of parameters open{still}. "
+                "Record more motion, every joint both ways and in other postures, then estimate again."
             )
 
     def to_dict(self) -> dict[str, Any]:

@@ -322,7 +322,7 @@ def estimate_files(
     console: Console,
     export: Path | None = None,
 ) -> tuple[dict[str, Any], str]:
-    """Fit a model to logs and write its file; returns its content and a table for people.
+    """Fit a model to logs and write its file; returns its content and a summary for people, or all of it (-v).
 
     With a folder to `export` to, the links have to be bodies that could exist: the method is then `consistent` unless
     another is named.
@@ -343,7 +343,9 @@ def estimate_files(
     written = [out, *(() if export is None else export_model(model, export, console.warn))]
     name = robot if isinstance(robot, str) else robot.name
     lacks = f"What the model lacks: {what_a_model_lacks(name, [str(path) for path in paths])}"
-    return model.to_dict(), "\n".join([model.text(), *map(str, written), lacks])
+    check = f"Check the model on another motion: agent validate --model {shlex.quote(str(out))} LOG"
+    text = model.text() if console.verbosity > 0 else f"{model.summary(check)}\nAll parameters and the method: -v"
+    return model.to_dict(), "\n".join([text, *map(str, written), lacks])
 
 
 def what_a_model_lacks(robot: str, logs: Sequence[str]) -> str:
