@@ -18,6 +18,7 @@ from agent.robot import Dynamics, RobotDescription
 
 _MASSES = {"": 1.0, "g": 1e-3, "t": 1e3}  # kg
 _LENGTHS = {"": 1.0, "mm": 1e-3}  # m
+_TOO_INERT = 3.0  # times the measured torque, which moves the arm against its friction too
 
 
 @dataclass(frozen=True)
@@ -51,18 +52,31 @@ def description_units(of: Recordings) -> Iterator[QualityFinding]:
         if not any(units) or not _Build.of(robot).possible:
             continue
         weight = compared_weight(Recordings(robot, of.logs, of.others))
-        if weight is None or not weight.alike.any() or weight.off().any():
+        if weight is not None and weight.alike.any():
+            shown = "" if weight.off().any() else "its gravity is that of the torques"
+        else:  # axes along gravity
+            inert = _inertia(of.robot, of) > _TOO_INERT >= _inertia(robot, of)
+            shown = "its inertia is that of the torques" if inert else ""
+        if not shown:
             continue
         which = dict(zip(("masses", "joint origins", "centres of mass"), units, strict=True))
         looks = " and ".join(f"{what} in {unit}" for what, unit in which.items() if unit)
         yield QualityFinding(
             f"the description looks like one with {looks}: as it stands, the arm weighs {given.mass:.3g} kg, reaches "
-            f"{given.reach:.3g} m, and has centres of mass up to {given.centre:.3g} m from joints; converted, its "
-            "gravity is that of the torques",
+            f"{given.reach:.3g} m, and has centres of mass up to {given.centre:.3g} m from joints; converted, {shown}",
             of.robot.joint_names,
             advice="a URDF is in kg and m: convert it (inertias too, kg·m²)",
         )
         return
+
+
+def _inertia(robot: RobotDescription, of: Recordings) -> float:
+    """Torque that its inertia needs for these motions, over the measured one, root mean square of all joints."""
+    if of.samples is None:
+        return 0.0
+    s = of.samples
+    needed = Dynamics(replace(robot, gravity=(0.0, 0.0, 0.0))).inverse_dynamics(s.q, s.qd, s.qdd)
+    return float(np.sqrt(np.sum(needed**2) / max(float(np.sum(s.torque**2)), 1e-300)))
 
 
 def _with_units(robot: RobotDescription, mass: str, length: str, centre: str) -> RobotDescription:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -166,11 +166,7 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
     for k in np.flatnonzero(turning).tolist():
         for angle in (90.0, -90.0):
             offset = np.where(given == k, np.radians(angle), 0.0)
-            values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
-            text = f"the zero of {names[k]} looks 90° off: import with `position: {{offset: [{values}]}}`"
-            yield _Mistake(
-                text, RigidFit(plain.dynamics, replace(s, q=s.q + offset), plain.precision), torque, (k,), True
-            )
+            yield _Mistake(_zeros_text(robot, offset), _with_zeros(plain, offset), torque, (k,), True)
     for gravity in (*gravity_axes(robot), *_tilted(plain)):
         yield _Mistake(gravity_text(robot, gravity), under(gravity), torque, everyone)
     yield _Mistake("these torques carry no gravity", under((0.0, 0.0, 0.0)), torque, everyone)
@@ -193,6 +189,17 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
         yield _Mistake(f"the positions of {who} look swapped", swapped, torque, (a, b))
         if turning[a] == turning[b]:
             yield _Mistake(f"{who} look swapped", swapped, torque[:, order], (a, b))
+
+
+def _with_zeros(plain: RigidFit, offset: np.ndarray) -> RigidFit:
+    return RigidFit(plain.dynamics, replace(plain.samples, q=plain.samples.q + offset), plain.precision)
+
+
+def _zeros_text(robot: RobotDescription, offset: np.ndarray) -> str:
+    off = [robot.joint_names[k] for k in np.flatnonzero(offset)]
+    whose = f"the zero of {off[0]} looks" if len(off) == 1 else f"the zeros of {' and '.join(off)} look"
+    values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
+    return f"{whose} 90° off: import with `position: {{offset: [{values}]}}`"
 
 
 def _tilted(plain: RigidFit) -> Iterator[tuple[float, float, float]]:
@@ -240,7 +247,8 @@ def _pushing(fit: RigidFit, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
-    """The distance between two joints that explains clearly more with another length than the description has."""
+    """The distance between two joints that explains clearly more with another length than the description has, or
+    zeros of one or two joints that explain still more: they may look like a length."""
     samples = of.samples
     if samples is None or not (plain := RigidFit(Dynamics(of.robot), samples)).says_something():
         return
@@ -254,7 +262,14 @@ def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
 
     tried = [(*gain(joint, times), joint) for joint in range(1, of.robot.dof) for times in _LENGTHS[:2]]
     better = [(mean, joint) for mean, error, joint in tried if mean > max(_LENGTH_GAIN, _CERTAIN * error)]
-    if better:
+    candidates = _quarter_turns(of.robot) if better else ()
+    zeros = [(_gain(before, _with_zeros(plain, offset).errors(samples.torque)), offset) for offset in candidates]
+    (gained, error), offset = max(zeros, key=lambda tried: tried[0][0], default=((0.0, 0.0), np.zeros(0)))
+    if better and gained > max(_CERTAIN * error, *(mean for mean, _ in better)):
+        names = tuple(of.robot.joint_names[k] for k in np.flatnonzero(offset))
+        text = f"{_zeros_text(of.robot, offset)}: these motions and torques fit clearly better then"
+        yield QualityFinding(text, names, refuses=gained > _GAIN)
+    elif better:
         joint = max(better)[1]
         times = max(_LENGTHS, key=lambda times: gain(joint, times)[0])
         pair = of.robot.joint_names[joint - 1], of.robot.joint_names[joint]
@@ -265,6 +280,16 @@ def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
             advice="compare the joint origins of the URDF with the data sheet",
             refuses=False,
         )
+
+
+def _quarter_turns(robot: RobotDescription) -> Iterator[np.ndarray]:
+    """(n,) [rad] of one turning joint, or of two."""
+    turning = [k for k, joint in enumerate(robot.joints) if not joint.prismatic]
+    for count in (1, 2):
+        for some, angles in product(combinations(turning, count), product((0.5 * np.pi, -0.5 * np.pi), repeat=count)):
+            offset = np.zeros(robot.dof)
+            offset[list(some)] = angles
+            yield offset
 
 
 def _with_length(robot: RobotDescription, joint: int, times: float) -> RobotDescription | None:
