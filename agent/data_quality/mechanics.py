@@ -262,9 +262,7 @@ def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
 
     tried = [(*gain(joint, times), joint) for joint in range(1, of.robot.dof) for times in _LENGTHS[:2]]
     better = [(mean, joint) for mean, error, joint in tried if mean > max(_LENGTH_GAIN, _CERTAIN * error)]
-    candidates = _quarter_turns(of.robot) if better else ()
-    zeros = [(_gain(before, _with_zeros(plain, offset).errors(samples.torque)), offset) for offset in candidates]
-    (gained, error), offset = max(zeros, key=lambda tried: tried[0][0], default=((0.0, 0.0), np.zeros(0)))
+    gained, error, offset = _best_zeros(plain) if better else (0.0, 0.0, np.zeros(0))
     if better and gained > max(_CERTAIN * error, *(mean for mean, _ in better)):
         names = tuple(of.robot.joint_names[k] for k in np.flatnonzero(offset))
         text = f"{_zeros_text(of.robot, offset)}: these motions and torques fit clearly better then"
@@ -280,6 +278,15 @@ def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
             advice="compare the joint origins of the URDF with the data sheet",
             refuses=False,
         )
+
+
+def _best_zeros(plain: RigidFit) -> tuple[float, float, np.ndarray]:
+    """Gain of the zeros of one or two joints that explain most, its standard error, and what to add (n,) [rad]."""
+    torque = plain.samples.torque
+    before, offsets = plain.errors(torque), [*_quarter_turns(plain.robot)]
+    gains = [_gain(before, _with_zeros(plain, offset).errors(torque)) for offset in offsets]
+    best = max(range(len(gains)), key=lambda k: gains[k][0])
+    return *gains[best], offsets[best]
 
 
 def _quarter_turns(robot: RobotDescription) -> Iterator[np.ndarray]:

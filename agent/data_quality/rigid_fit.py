@@ -205,7 +205,7 @@ def fitted_gravity(plain: RigidFit) -> np.ndarray:
         """Twice the negative log-likelihood, but for a constant."""
         parts = np.append(1.0, gravity / np.linalg.norm(gravity))
         weights = _fitted(np.tensordot(np.outer(parts, parts), moments, 2), plain, rounds)[1]
-        return -len(s.q) * float(np.log(weights).sum())
+        return -len(s.q) * float(np.log(weights[weights > 0]).sum())
 
     axis = min([*np.eye(3), *-np.eye(3)], key=lambda direction: misfit(direction, 1))
     options = {"initial_simplex": axis + 0.3 * np.vstack([np.zeros(3), np.eye(3)]), "xatol": 1e-3, "fatol": 1e-3}

@@ -34,5 +34,9 @@ def test_too_little_motion_is_said_first_and_needs_force(
         with pytest.raises(RejectedError, match=r"a\.mcap: too little motion: .* postures .* parameters need"):
             fit_logs(robot, logs, FitQuestion(method="weighted"), Console(-1))
     fit_logs(robot, logs, FitQuestion(method="weighted", force=not enough), Console(-1))[0].save(out)
-    first, *_ = IdentifiedModel.load(out).text().splitlines()
-    assert first.startswith("Too little motion: these logs leave" if few else "parameter ")
+    model = IdentifiedModel.load(out)
+    for first, usual in (
+        (model.text().splitlines()[0], "parameter "),
+        (model.summary("Next: drive").splitlines()[0], "Next: drive"),
+    ):
+        assert first.startswith("Too little motion: these logs leave" if few else usual)

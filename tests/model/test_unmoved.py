@@ -1,10 +1,12 @@
 """Friction and rotor of a joint that stood still are no numbers: in the table, in the file, nor in an export."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from agent.data_quality import check_quality
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.pages.calibration.parameters import parameters_section
@@ -20,6 +22,22 @@ def parked() -> IdentifiedModel:
     plant = Plant(robot, seed=3)
     logs = [record(plant, f"{k}", 10 + k, [1.0, 0.0, 1.0]) for k in range(2)]
     return estimate(robot, logs, EstimationSettings.create(method="consistent"))
+
+
+def test_a_braked_joint_says_nothing_of_the_links_it_carries(parked):
+    robot, plant = parked.robot, Plant(parked.robot, seed=3)
+    logs = [record(plant, f"{k}", 10 + k, [1.0, 0.0, 1.0]) for k in range(2)]
+    braked = [replace(log, effort=np.where(np.arange(3) == 1, 1.2, log.effort)) for log in logs]
+    held = [replace(log, position=np.where(np.arange(3) == 1, log.position[0], log.position)) for log in braked]
+    model = estimate(robot, held, EstimationSettings.create(method="weighted"))
+    of = [
+        {n: (v, d) for n, v, d in zip(m.names, m.values, m.standard_deviations, strict=True)} for m in (model, parked)
+    ]
+    for name in ("mx3", "mz3", "f0_3", "f0_1"):
+        (braked_value, deviation), (value, other) = (values[name] for values in of)
+        assert abs(braked_value - value) < 4 * np.hypot(deviation, other), name
+    assert "joint_2" in model.summary("")
+    assert not any(finding.refuses for finding in check_quality(robot, held))
 
 
 def of_joint_2(name: str) -> bool:
