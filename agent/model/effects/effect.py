@@ -30,7 +30,7 @@ BELOW_ZERO = 0.1
 #: Factor by which a fitted share or scale may be off from 1: more is something else.
 MOST_OFF = 3.0
 #: Motion that shows an effect: speed of a joint that slides [rad/s], travel over which torque bends [rad].
-SLIDES, BENDS = 0.02, 0.1
+SLIDES, BENDS = 0.02, 0.2
 #: Nominal torque, and per radian: no joint is built against a stronger spring or hose.
 STRONGEST = 10.0
 

@@ -124,7 +124,7 @@ def test_a_drives_off_record_of_a_healthy_arm_settles_nothing(arm, model, logs):
         (lambda log: replace(log, effort=None), "has no torque"),
         (lambda log: replace(log, position=log.position + 0.1 * log.t[:, None]), r"joint_1 moves by 0\.4 rad"),
         (lambda log: replace(log, t=0.1 * log.t), r"0\.4 s with the drives off are too short"),
-        (lambda log: replace(log, **{name: getattr(log, name)[::200] for name in CHANNELS}), "16 samples at least"),
+        (lambda log: replace(log, **{name: getattr(log, name)[::250] for name in CHANNELS}), "10 samples at least"),
     ],
 )
 def test_refuses_an_unusable_drives_off_log(arm, model, logs, change, message):
