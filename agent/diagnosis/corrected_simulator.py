@@ -45,40 +45,40 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
     of_model = change[: len(simulator.model.values)]
     reversing = reversals_as_effects(diagnosis.dataset.model, of_model)
     effects += reversing
-    reasons |= {(one.effect, one.joints): "how friction reverses" for one in reversing}
+    reasons |= {(effect.effect, effect.joints): "how friction reverses" for effect in reversing}
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
     unexplained = fit.error(fit.transient) / fit.repeat
-    found = correct(simulator, of_model, weight, unexplained, inertia, effects, released, reasons)
+    correction = correct(simulator, of_model, weight, unexplained, inertia, effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap
     model = replace(
-        found.model,
+        correction.model,
         cutoff=given.cutoff,
         order=given.order,
         residual_rmse=gap.after * gap.unit,
         held_out_rmse=gap.after * gap.unit,
         weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
     )
-    return _with_servos(replace(found, model=model), diagnosis, change)
+    return _with_servos(replace(correction, model=model), diagnosis, change)
 
 
 def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:
     """The correction; none, with a note, where it does not lower the error of the corrected file itself."""
-    found = corrected(diagnosis, simulator)
+    correction = corrected(diagnosis, simulator)
     if diagnosis.dataset.servos is not None or not (
-        (diagnosis.released and diagnosis.released.groups) or found.effects
+        (diagnosis.released and diagnosis.released.groups) or correction.effects
     ):
-        return found
+        return correction
     before, after = held_out_errors(diagnosis, simulator)
     unit = diagnosis.gap.unit
     if np.mean((after / unit) ** 2) < np.mean((before / unit) ** 2):
-        return found
+        return correction
     worst = int(np.argmax((after - before) / unit))
     note = (
         "nothing is corrected: on motion that was held out, the corrected file would err more than the one given "
         f"({simulator.arm.joint_names[worst]}: {before[worst]:.3g} before, {after[worst]:.3g} after)"
     )
     zero, count = np.zeros(len(simulator.model.values)), len(simulator.model.independent)
-    none = correct(simulator, zero, np.eye(count), 1.0, found.inertia, (), Released(), {})
+    none = correct(simulator, zero, np.eye(count), 1.0, correction.inertia, (), Released(), {})
     return replace(none, notes=(*none.notes, note))
 
 
@@ -89,14 +89,14 @@ def held_out_errors(diagnosis: Diagnosis, simulator: Simulator) -> tuple[np.ndar
     reverses at once. What the fit gains and these lose is no gain.
     """
     fit, dataset = diagnosis.selected.fit, diagnosis.dataset
-    given, left = diagnosis.gap.raw, np.full(diagnosis.gap.raw.shape, np.nan)
+    given, remaining = diagnosis.gap.raw, np.full(diagnosis.gap.raw.shape, np.nan)
     as_given = _predicted(fit, simulator.model)
     for number, fold in enumerate(fit.folds):
         rows = np.isin(fit.cell, np.flatnonzero(fold.test))
         fixed = _predicted(fit, corrected(diagnosis, simulator, number).model)
-        left[rows] = (dataset.residual + as_given - fixed)[rows]
-    left = np.where(np.isnan(given), np.nan, left)
-    return rms(given), rms(diagnosis.gap.beyond(left))
+        remaining[rows] = (dataset.residual + as_given - fixed)[rows]
+    remaining = np.where(np.isnan(given), np.nan, remaining)
+    return rms(given), rms(diagnosis.gap.beyond(remaining))
 
 
 def _predicted(fit: Fit, model: IdentifiedModel) -> np.ndarray:
@@ -105,17 +105,19 @@ def _predicted(fit: Fit, model: IdentifiedModel) -> np.ndarray:
     return np.concatenate(list(parts))
 
 
-def _with_servos(found: Correction, diagnosis: Diagnosis, change: np.ndarray) -> Correction:
+def _with_servos(correction: Correction, diagnosis: Diagnosis, change: np.ndarray) -> Correction:
     """Gains and delays moved by a `change` (p,); damping below zero comes off the servo's, as both are one number."""
-    data, servos, own = diagnosis.dataset, diagnosis.dataset.servos, found.given.servos
+    data, servos, own = diagnosis.dataset, diagnosis.dataset.servos, correction.given.servos
     if servos is None or not isinstance(own, PositionServos):
-        return found
+        return correction
     n, b, first = len(servos.kp), len(data.model.independent), len(data.model.values)
-    viscous = found.given.damping + change[b + 1 : b + 2 * n : 2]
+    viscous = correction.given.damping + change[b + 1 : b + 2 * n : 2]
     damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
     groups = diagnosis.released.groups if diagnosis.released else ()
-    reasons = {found.given.joint_names[g.joint]: g.text(found.given.joint_names) for g in groups if g.kind == GAIN}
+    reasons = {
+        correction.given.joint_names[g.joint]: g.text(correction.given.joint_names) for g in groups if g.kind == GAIN
+    }
     gains = {g.joint for g in groups if g.kind == GAIN}
     stiffness = np.array([servos.kp[k] + (change[first + k] if k in gains else 0.0) for k in range(n)])
     delay = np.maximum(own.delay + change[first + n : first + 2 * n], 0.0)
-    return with_servos(found, stiffness, damping, delay, reasons)
+    return with_servos(correction, stiffness, damping, delay, reasons)

@@ -72,8 +72,8 @@ class Diagnosis:
         """The document as plain data, with the 95 % intervals of every cause's parameters; numbers have ranges."""
         joints = self.dataset.robot.joint_names
         places = [(c.effect.name, tuple(joints[j] for j in c.joints)) for c in self.selected.causes]
-        found = dict(zip(places, intervals(self.selected), strict=True))
-        own = [found.get((cause.effect, cause.joints), {}) for cause in self.document.causes]
+        by_cause = dict(zip(places, intervals(self.selected), strict=True))
+        own = [by_cause.get((cause.effect, cause.joints), {}) for cause in self.document.causes]
         return {**self.document.to_dict(), "intervals": own}
 
 
@@ -125,12 +125,12 @@ def build(
     return Diagnosis(document, selected, dataset, motion, gap, found.released if found.of_file else None, held)
 
 
-def _with_figures(found: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:
+def _with_figures(explanation: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with their part of the gap of the model as given, and whether their joints slide."""
-    figures = causes_of(found.dataset, found.selected, found.as_given) if found.of_file else ()
+    figures = causes_of(explanation.dataset, explanation.selected, explanation.as_given) if explanation.of_file else ()
     of_all = {(cause.effect, cause.joints): cause for cause in figures}
     same = [of_all.get((cause.effect, cause.joints), cause) for cause in causes]
-    sliding = {joint.name for joint in found.dataset.robot.joints if joint.prismatic}
+    sliding = {joint.name for joint in explanation.dataset.robot.joints if joint.prismatic}
     return tuple(
         replace(
             cause,
@@ -142,18 +142,18 @@ def _with_figures(found: Explanation, causes: Sequence[Cause]) -> tuple[Cause, .
     )
 
 
-def _warnings(found: Explanation, verdict: Verdict) -> Iterator[str]:
+def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
     """What is left of the gap where no effect is named, and what is taken for known and may be what nobody explains."""
-    dataset, selected, gap = found.dataset, found.selected, found.as_given
+    dataset, selected, gap = explanation.dataset, explanation.selected, explanation.as_given
     names, usual = dataset.robot.joint_names, dataset.model.held_out_rmse
-    if found.of_file and selected.leaves_gap and verdict.causes and not selected.causes:
+    if explanation.of_file and selected.leaves_gap and verdict.causes and not selected.causes:
         yield (
             f"corrected simulator parameters leave {100 * (1 - gap.absorbed):.1f} % of the gap, and no known effect "
             "explains it; compared with a usual simulator it is largest on "
             f"{names[int(np.argmax(gap.after * gap.unit / usual))]}"
         )
-    if not found.of_file and dataset.given and not selected.causes:
-        if (absorbed := found.gap.absorbed) > 1 - LIMITS.explained:
+    if not explanation.of_file and dataset.given and not selected.causes:
+        if (absorbed := explanation.gap.absorbed) > 1 - LIMITS.explained:
             yield (
                 f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
                 "uncertainty: estimate it again with motions like these"

@@ -23,11 +23,11 @@ def torque_gap(result: Mapping[str, Any]) -> bool:
 
 def shown(result: Mapping[str, Any]) -> tuple[int, int]:
     """How many effects, joint by joint, these logs would have shown at their practical size, and of how many."""
-    found = [e["smallest"] is not None and e["smallest"] <= e["practical"] for e in result.get("power", ())]
-    return sum(found), len(found)
+    showing = [e["smallest"] is not None and e["smallest"] <= e["practical"] for e in result.get("power", ())]
+    return sum(showing), len(showing)
 
 
 def could_show(result: Mapping[str, Any]) -> bool:
     """Whether the model is good enough, and the motion rich enough, that finding nothing means something."""
-    found, count = shown(result)
-    return found >= LIMITS.most * count and (result.get("model_error") or 0.0) <= LIMITS.weak_model
+    showing, count = shown(result)
+    return showing >= LIMITS.most * count and (result.get("model_error") or 0.0) <= LIMITS.weak_model

@@ -37,12 +37,12 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     """All numbers that the diagnosis moved or found, as the correction writes them; empty without a simulator file."""
     if diagnosis.released is None:
         return ()
-    fit, found = diagnosis.selected.fit, diagnosis.released
+    fit, released = diagnosis.selected.fit, diagnosis.released
     model, robot, arm = diagnosis.dataset.model, diagnosis.dataset.robot, correction.arm
     p, b, first = len(diagnosis.dataset.held), len(model.independent), len(model.values)
     change = fit.fitted()[0]
-    groups = [*found.groups]
-    groups += [group for group in groups_of(found.given) if (group.kind, group.joint) not in found.parts]
+    groups = [*released.groups]
+    groups += [group for group in groups_of(released.given) if (group.kind, group.joint) not in released.parts]
     columns = np.hstack([group.directions for group in groups])
     count = columns.shape[1]
     spread = np.zeros((fit.size, count + fit.size - p))
@@ -55,7 +55,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     energy = np.nanmean((fit.out_of_fold(fit.transient) / fit.sigma) ** 2)
     deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
     result, at = [], 0
-    for group in found.groups:
+    for group in released.groups:
         joint, name = group.joint, robot.joint_names[group.joint]
         own = slice(at, at + group.directions.shape[1])
         at = own.stop

@@ -91,7 +91,7 @@ def intervals(selected: SelectedCauses) -> list[dict[str, tuple[float, float]]]:
     """
     fit = selected.fit
     motions, halves = ([fit.fitted(fold)[1] for fold in folds] for folds in (fit.folds, fit.single))
-    found = []
+    of_causes = []
     for number, candidate in enumerate(selected.causes):
         settings = {name: float(value) for name, value in candidate.settings.items()}
 
@@ -106,8 +106,8 @@ def intervals(selected: SelectedCauses) -> list[dict[str, tuple[float, float]]]:
             half = max(float(jackknife(np.array([part[name] for part in group]))) for group in parts)
             if half > _ROUNDING * abs(value):
                 entry[name] = (value - half, value + half)
-        found.append(entry)
-    return found
+        of_causes.append(entry)
+    return of_causes
 
 
 def jackknife(values: np.ndarray) -> np.ndarray:

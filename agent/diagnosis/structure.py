@@ -38,25 +38,25 @@ def with_structure(
     Raises:
         InputError: logs too short for parts of them to be held out.
     """
-    found = diagnose(robot, logs, None, model.cutoff, progress=progress)
-    if found.verdict != "explained" and not _by_any_name(found):
-        reason = f"the diagnosis of these logs without a given model says {found.verdict}, not explained"
+    diagnosis = diagnose(robot, logs, None, model.cutoff, progress=progress)
+    if diagnosis.verdict != "explained" and not _by_any_name(diagnosis):
+        reason = f"the diagnosis of these logs without a given model says {diagnosis.verdict}, not explained"
         return _noted(model, f"no effect of the catalogue is added: {reason}.")
-    lasting = [cause for cause in found.selected.causes if not cause.transient]
+    lasting = [cause for cause in diagnosis.selected.causes if not cause.transient]
     if not lasting:
         return _noted(model, "no effect of the catalogue is added: what was found happens once, or in the set-points.")
     fit = assemble(robot, model, logs, model.cutoff, refitted=True).fit
     forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in lasting])
     extended = fit.with_chosen(forms)
-    before, after = (rms(one.out_of_fold()) for one in (fit, extended))
+    before, after = (rms(of_model.out_of_fold()) for of_model in (fit, extended))
     error = float(np.sum((after / model.held_out_rmse) ** 2) / np.sum((before / model.held_out_rmse) ** 2))
     places = [", ".join(robot.joint_names[j] for j in form.joints) or "the whole arm" for form in forms]
     names = " and ".join(f"{form.effect.name} on {where}" for form, where in zip(forms, places, strict=True))
     figure = f"{np.sqrt(error):.3f} of the held-out error without"
     if error > 1 - LIMITS.negligible:
         return _noted(model, f"{names} would explain a gap, but leaves {figure}, so nothing is added.")
-    selected = replace(found.selected, fit=extended, causes=tuple(forms))
-    changed = extended_model(replace(found, dataset=replace(found.dataset, model=model), selected=selected))
+    selected = replace(diagnosis.selected, fit=extended, causes=tuple(forms))
+    changed = extended_model(replace(diagnosis, dataset=replace(diagnosis.dataset, model=model), selected=selected))
     changed = replace(
         changed,
         held_out_rmse=model.held_out_rmse * (after / before),
@@ -69,11 +69,11 @@ def with_structure(
     )
 
 
-def _by_any_name(found: Diagnosis) -> bool:
+def _by_any_name(diagnosis: Diagnosis) -> bool:
     """Whether what equals the causes predicts as they do: a straight line over position is a spring or a hose."""
-    if found.verdict != "ambiguous":
+    if diagnosis.verdict != "ambiguous":
         return False
-    causes = zip(found.selected.causes, found.selected.rivals, strict=True)
+    causes = zip(diagnosis.selected.causes, diagnosis.selected.rivals, strict=True)
     return all(
         "position" in cause.effect.shapes and joints == cause.joints and name in cause.effect.structurally_equivalent
         for cause, rivals in causes

@@ -168,15 +168,15 @@ def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tu
         Cause(
             candidate.effect.name,
             tuple(joints[j] for j in candidate.joints),
-            gap.closure_without(left),
+            gap.closure_without(without),
             probability,
             candidate.effect.reported(
                 fit.reference, _floats(candidate.settings.items()), _floats(zip(candidate.names, values, strict=True))
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            gap.closure_on(candidate.joints, left) if _alone(selected.causes, number) else None,
+            gap.closure_on(candidate.joints, without) if _alone(selected.causes, number) else None,
         )
-        for number, (candidate, left, values, rivals, probability) in enumerate(parts)
+        for number, (candidate, without, values, rivals, probability) in enumerate(parts)
     )
 
 

@@ -85,14 +85,14 @@ def diagnose(
     held: HeldTorque | None = None
     if simulator is not None and without_torque(simulator, logs):
         positions = search_positions(simulator, logs, without, progress, known_kp)
-        found = positions.explanation
+        explanation = positions.explanation
         motion = motion_gap(logs)
         warned = (*twice, *positions.said, *_path_warnings(motion))
         if len(logs) == 1:
             warned = (*warned, _ONE_MOTION)
-        return build(found, _verdict(found, motion), motion, warned)
+        return build(explanation, _verdict(explanation, motion), motion, warned)
     if model is not None and model.method == SIMULATOR:
-        found = search_simulator(robot, model, logs, cutoff, without, progress)
+        explanation = search_simulator(robot, model, logs, cutoff, without, progress)
     else:
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")
         dataset = assemble(robot, model, logs, cutoff)
@@ -102,43 +102,46 @@ def diagnose(
         selected = replace(named(search.run()), zero_known=zero is not None)
         if (held := held_torque(dataset, selected.fit)) is not None:
             selected = selected.without_causes(leaves_gap=True)
-        found = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *supported(dataset, selected))
+        explanation = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *supported(dataset, selected))
     motion = motion_gap(logs)
-    dataset = found.dataset
-    of_zero = () if zero is None else said_by_zero(dataset, found.selected, zero)
+    dataset = explanation.dataset
+    of_zero = () if zero is None else said_by_zero(dataset, explanation.selected, zero)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
     said = (*_warnings(robot, logs, model is not None), *_of_model(dataset), *beyond, *_path_warnings(motion))
-    return build(found, _verdict(found, motion), motion, (*twice, *of_zero, *said), held)
+    return build(explanation, _verdict(explanation, motion), motion, (*twice, *of_zero, *said), held)
 
 
-def _verdict(found: Explanation, motion: MotionGap | None) -> Verdict:
+def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
     """The verdict on causes, executed path and moved numbers of a simulator's file."""
-    gap, by_numbers = found.gap if found.of_file else found.as_given, found.as_given.closure or 0.0
-    causes = causes_of(found.dataset, found.selected, gap)
-    numbers = causes_of_numbers(found.released, found.selected, found.as_given)
-    if found.dataset.servos is not None:
-        whole = causes_of(found.dataset, found.selected, found.as_given)
+    gap, by_numbers = (
+        explanation.gap if explanation.of_file else explanation.as_given,
+        explanation.as_given.closure or 0.0,
+    )
+    causes = causes_of(explanation.dataset, explanation.selected, gap)
+    numbers = causes_of_numbers(explanation.released, explanation.selected, explanation.as_given)
+    if explanation.dataset.servos is not None:
+        whole = causes_of(explanation.dataset, explanation.selected, explanation.as_given)
         pairs = zip(whole, causes, strict=True)
-        sized = _beyond_usual(found, found.gap, [of_all for of_all, of_rest in pairs if has_size(of_rest)])
-        doubted = {remainder.joint for remainder in remainders(found.dataset, found.gap)}
-        told = [one for one in numbers if has_size(one) and doubted.isdisjoint(one.joints)]
-        differ = _beyond_usual(found, found.as_given, differing(found, told))
-        exceeds = bool(_exceeds(found, found.as_given).any())
-        return decide_by_position(sized, differ, found.as_given.closure, exceeds)
-    of_path = [name for name in effects_of_path() if name in found.search.allowed]
+        sized = _beyond_usual(explanation, explanation.gap, [of_all for of_all, of_rest in pairs if has_size(of_rest)])
+        doubted = {remainder.joint for remainder in remainders(explanation.dataset, explanation.gap)}
+        told = [cause for cause in numbers if has_size(cause) and doubted.isdisjoint(cause.joints)]
+        differ = _beyond_usual(explanation, explanation.as_given, differing(explanation, told))
+        exceeds = bool(_exceeds(explanation, explanation.as_given).any())
+        return decide_by_position(sized, differ, explanation.as_given.closure, exceeds)
+    of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
-    verdict = decide_verdict(found.selected, causes, gap.closure, path, numbers, by_numbers)
-    return with_numbers(verdict, found, numbers) if found.of_file else verdict
+    verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers)
+    return with_numbers(verdict, explanation, numbers) if explanation.of_file else verdict
 
 
-def _exceeds(found: Explanation, gap: HeldOutGap) -> np.ndarray:
+def _exceeds(explanation: Explanation, gap: HeldOutGap) -> np.ndarray:
     """(n,) which joints err by more than a right file does (`LIMITS.usual_error`)."""
-    return np.asarray(gap.before * gap.unit >= LIMITS.usual_error * found.selected.fit.sigma.min(axis=0))
+    return np.asarray(gap.before * gap.unit >= LIMITS.usual_error * explanation.selected.fit.sigma.min(axis=0))
 
 
-def _beyond_usual(found: Explanation, gap: HeldOutGap, causes: Sequence[Cause]) -> list[Cause]:
+def _beyond_usual(explanation: Explanation, gap: HeldOutGap, causes: Sequence[Cause]) -> list[Cause]:
     """The causes one of whose joints errs by more than a right file does."""
-    names, exceeds = found.dataset.robot.joint_names, _exceeds(found, gap)
+    names, exceeds = explanation.dataset.robot.joint_names, _exceeds(explanation, gap)
     return [cause for cause in causes if exceeds[[names.index(name) for name in cause.joints or names]].any()]
 
 

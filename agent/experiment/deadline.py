@@ -58,5 +58,5 @@ class Deadline:
         """
         if self.left <= 0:
             raise OutOfTime
-        left = self._begun + self._whole - self._clock()
-        self._progress(text if left == float("inf") else f"{text}, at most {left:.0f} s of planning left")
+        remaining = self._begun + self._whole - self._clock()
+        self._progress(text if remaining == float("inf") else f"{text}, at most {remaining:.0f} s of planning left")

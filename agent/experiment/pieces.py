@@ -83,9 +83,9 @@ class Piece:
         draw = self.draw
         if draw.kind == "reversals":
             joint = robot.joints[draw.joint]
-            turn = f"{1e3 * draw.turn:.3g} mm" if joint.prismatic else f"{np.degrees(draw.turn):.3g} deg"
+            travel = f"{1e3 * draw.turn:.3g} mm" if joint.prismatic else f"{np.degrees(draw.turn):.3g} deg"
             return (
-                f"reversals of {joint.name} by up to {turn} at "
+                f"reversals of {joint.name} by up to {travel} at "
                 f"{100 * draw.speed:.0f} % of its speed, resting {draw.rest:g} s"
             )
         rests = f", resting {draw.rest:g} s at every point" if draw.kind == "stops" else ""
@@ -132,8 +132,8 @@ class Pieces:
         draw, rng = piece.draw, self._rng
         genome = np.clip(draw.genome + _VARY * rng.standard_normal(len(draw.genome)), 0.0, 1.0)
         factor = float(np.exp(_VARY * rng.standard_normal()))
-        turn = draw.turn * float(np.exp(_VARY * rng.standard_normal()))
-        return self.make(replace(draw, genome=genome, speed=min(draw.speed * factor, 1.0), turn=turn))
+        travel = draw.turn * float(np.exp(_VARY * rng.standard_normal()))
+        return self.make(replace(draw, genome=genome, speed=min(draw.speed * factor, 1.0), turn=travel))
 
     def make(self, draw: Draw) -> Piece | None:
         """The piece, or None where a limit, the cell or the sub-region is in the way or it takes too long."""
@@ -181,27 +181,27 @@ class Pieces:
         """One joint to and fro about a posture of the sub-region, further every time, with rests."""
         kinematics = self._candidates.kinematics
         middle = kinematics.solve(self.problem.regions.poses(draw.genome)[0], self._candidates.posture, on_branch=True)
-        turn = draw.turn
-        while not self._inside(middle, draw.joint, turn):
-            turn /= 2
-            if turn < LIMITS.least_travel:
+        travel = draw.turn
+        while not self._inside(middle, draw.joint, travel):
+            travel /= 2
+            if travel < LIMITS.least_travel:
                 return None
         calm = self._settings(1.0).changed(speed_override=draw.speed).stopping()
         statements: list[Statement] = []
         for step in range(1, _STEPS + 1):
             for side in (1.0, -1.0):
                 target = middle.copy()
-                target[draw.joint] += side * turn * step / _STEPS
+                target[draw.joint] += side * travel * step / _STEPS
                 statements += [Move(MoveType.JOINT, JointTarget(target), calm), Delay(draw.rest)]
         statements.append(Move(MoveType.JOINT, JointTarget(middle), calm))
-        return replace(draw, turn=turn), middle, [*statements, Delay(draw.rest)]
+        return replace(draw, turn=travel), middle, [*statements, Delay(draw.rest)]
 
-    def _inside(self, middle: np.ndarray, joint: int, turn: float) -> bool:
+    def _inside(self, middle: np.ndarray, joint: int, travel: float) -> bool:
         """Whether the tool stays within the box around the sub-region, and the joint within its range."""
         lower, upper = self._candidates.joint_limits
-        if not lower[joint] <= middle[joint] - turn <= middle[joint] + turn <= upper[joint]:
+        if not lower[joint] <= middle[joint] - travel <= middle[joint] + travel <= upper[joint]:
             return False
-        turns = turn * np.arange(-_STEPS, _STEPS + 1) / _STEPS
+        turns = travel * np.arange(-_STEPS, _STEPS + 1) / _STEPS
         postures = np.tile(middle, (len(turns), 1))
         postures[:, joint] += turns
         tips = self._candidates.kinematics.forward(postures)[:, :3, 3]

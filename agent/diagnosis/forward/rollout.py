@@ -54,7 +54,7 @@ class MujocoEngine:
         mujoco, model = self._mujoco, self._model
         data = mujoco.MjData(model)
         data.qpos[self._at], data.qvel[self._dof] = q, qd
-        found = np.empty((2, len(times), len(q)))
+        states = np.empty((2, len(times), len(q)))
         try:
             if self._effects is not None:
                 self._effects["install"](mujoco, model)
@@ -64,12 +64,12 @@ class MujocoEngine:
                     data.qfrc_applied[self._dof] = given
                     mujoco.mj_step(model, data)
                     if not np.abs(data.qvel).max() < _LOST:
-                        found[:, row:] = np.nan
-                        return found[0], found[1]
-                found[:, row] = data.qpos[self._at], data.qvel[self._dof]
+                        states[:, row:] = np.nan
+                        return states[0], states[1]
+                states[:, row] = data.qpos[self._at], data.qvel[self._dof]
         finally:
             mujoco.set_mjcb_passive(None)
-        return found[0], found[1]
+        return states[0], states[1]
 
 
 class ChainEngine:
@@ -93,25 +93,25 @@ class ChainEngine:
 
     def run(self, q: np.ndarray, qd: np.ndarray, drive: Drive, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q, v, a, now = q.copy(), qd.copy(), np.zeros(len(q)), 0.0
-        beside = None if self._effects is None else self._effects["Effects"](dt=_STEP)
-        if beside is not None:
-            beside.armature = np.zeros(len(q))  # part of the arm here
-        found = np.empty((2, len(times), len(q)))
+        extra = None if self._effects is None else self._effects["Effects"](dt=_STEP)
+        if extra is not None:
+            extra.armature = np.zeros(len(q))  # part of the arm here
+        states = np.empty((2, len(times), len(q)))
         for row, until in enumerate(times):
             while now < until - 0.5 * _STEP:
                 torque = drive(now, q, v)
-                if beside is not None:
+                if extra is not None:
                     load = self._links.inverse_dynamics(q[None], v[None], a[None])[0]
                     slope = self._links.torque_slope(q[None], v[None], a[None])[0]
-                    torque = torque - beside.torque(q, v, a, load, self._links.mass_matrix(q), slope)
+                    torque = torque - extra.torque(q, v, a, load, self._links.mass_matrix(q), slope)
                 size = np.maximum(np.abs(v), 1e-9 * self._reversal)
                 damping = self._coulomb * np.tanh(size / self._reversal) / size + self._viscous
                 a = np.array(self._accelerate(q, v, torque - damping * v, damping * _STEP))
                 v = v + _STEP * a
                 q = q + _STEP * v
                 now += _STEP
-            found[:, row] = q, v
-        return found[0], found[1]
+            states[:, row] = q, v
+        return states[0], states[1]
 
 
 def engine(simulator: Simulator, path: Path, model: IdentifiedModel, effects: Path | None) -> RolloutEngine:

@@ -53,9 +53,9 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
     No log where no effect was found: there are no two arms to compare.
     """
     dataset = diagnosis.dataset
-    found: list[Simulated] = []
+    simulated: list[Simulated] = []
     if not diagnosis.selected.causes:
-        return found
+        return simulated
     for number, log in enumerate(dataset.logs):
         if log.reference_position is None or log.metadata.get(PAYLOAD):  # the model simulates the bare arm
             continue
@@ -71,7 +71,7 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
         if not all(np.all(np.isfinite(values)) for values in (*before, *after)):
             continue  # a simulator without rotors, say, runs away behind a usual servo
         torque = motion.low_pass(motion.torque)
-        found.append(
+        simulated.append(
             Simulated(
                 log.name,
                 motion.time[motion.kept],
@@ -82,7 +82,7 @@ def simulate(diagnosis: Diagnosis) -> list[Simulated]:
                 held_out,
             )
         )
-    return found
+    return simulated
 
 
 def simulation_part(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> dict[str, Any] | None:
@@ -165,8 +165,8 @@ class _Arm:
             external=external,
         )
         simulation.rest(self.set_points[0])
-        found = simulation.run(self.set_points, np.gradient(self.set_points, period, axis=0))
-        return found.motor_position @ np.linalg.inv(self._coupling).T, found.torque
+        ran = simulation.run(self.set_points, np.gradient(self.set_points, period, axis=0))
+        return ran.motor_position @ np.linalg.inv(self._coupling).T, ran.torque
 
     def beyond(self, position: np.ndarray) -> np.ndarray:
         """(S, n) torque that the model predicts along positions (S, n), less bodies and plain friction."""

@@ -87,7 +87,7 @@ def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
     """Starts that are spread evenly over the held-out part of each fold, with the whole window inside it."""
     dataset, fit = diagnosis.dataset, diagnosis.selected.fit
     settings = FilterSettings(dataset.cutoff, dataset.model.order)
-    found: list[list[ForwardWindow]] = []
+    of_folds: list[list[ForwardWindow]] = []
     for number, log in enumerate(dataset.logs):
         if log.metadata.get(PAYLOAD):  # the model simulates the bare arm
             continue
@@ -103,10 +103,10 @@ def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
                 for k in range(motion.edge, len(motion.time), max(1, int(0.5 * motion.rate)))
                 if first <= motion.time[k] <= last - _HORIZONS[0]
             ]
-            found.append(starts)
-    share = max(1, _WINDOWS // max(len(found), 1))
+            of_folds.append(starts)
+    share = max(1, _WINDOWS // max(len(of_folds), 1))
     chosen = []
-    for starts in found:
+    for starts in of_folds:
         long = [window for window in starts if _lasts(window, _HORIZONS[-1])] or starts
         pick = np.unique(np.linspace(0, len(long) - 1, min(share, len(long))).astype(int))
         chosen += [long[k] for k in pick]
@@ -134,11 +134,11 @@ def _servo(parts: Sequence[Motion]) -> np.ndarray | None:
     for joint in range(motion.q.shape[1]):
         columns, torque = _features(motion, joint), motion.torque[:, joint]
         size = np.maximum(np.abs(columns).max(axis=0), 1e-12)
-        found = np.linalg.lstsq(columns[:split] / size, torque[:split], rcond=1e-9)[0] / size
-        left = np.var(torque[split:] - columns[split:] @ found)
-        if found[0] <= 0 or found[1] < 0 or left > LIMITS.negligible * np.var(torque[split:]):
+        fitted = np.linalg.lstsq(columns[:split] / size, torque[:split], rcond=1e-9)[0] / size
+        unexplained = np.var(torque[split:] - columns[split:] @ fitted)
+        if fitted[0] <= 0 or fitted[1] < 0 or unexplained > LIMITS.negligible * np.var(torque[split:]):
             return None
-        gains.append(found)
+        gains.append(fitted)
     return np.array(gains)
 
 

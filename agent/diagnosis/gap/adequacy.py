@@ -47,9 +47,9 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
 
     A spring that was fitted over half of the range says little about the other half. `moving` (S', n) rows count.
     """
-    found = np.zeros(len(fit.rows))
+    variances = np.zeros(len(fit.rows))
     if not fit.chosen:
-        return found
+        return variances
     ends = len(fit.precision) + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
     for joint in {joint for candidate in fit.chosen for joint in candidate.blocks}:
         parts, at = [fit.rows[joint][:, :-1]], [fit.index[joint]]
@@ -64,8 +64,8 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
             test = np.isin(fit.cell, np.flatnonzero(fold.test))
             variance[test] = np.einsum("si,ij,sj->s", columns[test], inverse, columns[test], optimize=True)
         here = moving[:, joint]
-        found[joint] = float(np.mean(variance[here] * fit.sigma[here, joint] ** 2)) if here.any() else 0.0
-    return found
+        variances[joint] = float(np.mean(variance[here] * fit.sigma[here, joint] ** 2)) if here.any() else 0.0
+    return variances
 
 
 def shortfalls(
@@ -79,23 +79,23 @@ def shortfalls(
     """
     if not causes or gap.closure is None:
         return [""] * len(causes)
-    left = fit.out_of_fold(fit.transient)
+    error = fit.out_of_fold(fit.transient)
     taken_out = [fit.out_of_fold(fit.transient, number) for number in range(len(causes))]
-    own = gap.closure_without(np.sum(taken_out, axis=0) - (len(causes) - 1) * left) or 0.0
+    own = gap.closure_without(np.sum(taken_out, axis=0) - (len(causes) - 1) * error) or 0.0
     if fit.given and own < LIMITS.most * gap.closure:
         return ["the model's own parameters close more of the gap than it does"] * len(causes)
     sizes = remainder_sizes(fit, gap)
-    found = []
+    reasons = []
     for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
         joint = _main_joint(fit, gap, candidate, rows)
         if fit.given and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
-            found.append("it and another cause cancel each other")
+            reasons.append("it and another cause cancel each other")
         elif sizes[joint] > 1 and not irreplaceable(number):
             name = fit.reference.robot.joint_names[joint]
-            found.append(f"it leaves {sizes[joint]:.1f} times what a healthy arm may leave on {name}")
+            reasons.append(f"it leaves {sizes[joint]:.1f} times what a healthy arm may leave on {name}")
         else:
-            found.append("")
-    return found
+            reasons.append("")
+    return reasons
 
 
 def _main_joint(fit: Fit, gap: HeldOutGap, candidate: Candidate, taken_out: np.ndarray) -> int:
@@ -110,9 +110,9 @@ def remainders(dataset: Dataset, gap: HeldOutGap) -> Iterator[Remainder]:
     sizes = remainder_sizes(dataset.fit, gap)
     for joint in np.argsort(-sizes, kind="stable").tolist():
         if sizes[joint] > 1:
-            found = regimes(dataset, gap.left[:, joint], joint)
+            shares = regimes(dataset, gap.left[:, joint], joint)
             name = dataset.robot.joint_names[joint]
-            yield Remainder(name, float(sizes[joint]), found, _follows(dataset, gap.left[:, joint], joint))
+            yield Remainder(name, float(sizes[joint]), shares, _follows(dataset, gap.left[:, joint], joint))
 
 
 def _follows(dataset: Dataset, error: np.ndarray, joint: int) -> dict[str, float]:

@@ -101,8 +101,8 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     torque, friction = model.predict_parts(log.position.mean(axis=0)[None], still, still)
     held = (torque - friction)[0]
     loaded = np.abs(held) > _NOTABLE * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
-    left = np.linalg.norm((mean - _known_offsets(model) - held)[loaded])
-    if loaded.any() and left < _HOLDS * np.linalg.norm(held[loaded]):
+    unheld = np.linalg.norm((mean - _known_offsets(model) - held)[loaded])
+    if loaded.any() and unheld < _HOLDS * np.linalg.norm(held[loaded]):
         names = ", ".join(np.array(robot.joint_names)[loaded])
         raise InputError(
             f"{log.name}: the torque of {names} is what it takes to hold the arm there, so its drives are on: {again}"

@@ -110,7 +110,7 @@ def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], exc
     """All stretches in which a joint's torque is constant. The torque by the model is given per motion, (S',) [N·m];
     `excess` (S'total,) is its energy over the noise model."""
     background = float(dataset.fit.sigma[:, joint].min())
-    found, row = [], 0
+    stretches, row = [], 0
     for signals, by_model in zip(dataset.fit.signals, predicted, strict=True):
         log, time = dataset.logs[signals.log_index], signals.time[signals.kept]
         rows = slice(row, row := row + len(time))
@@ -127,8 +127,8 @@ def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], exc
             begin, end = stamps[first], stamps[last - 1]
             energy = float(excess[rows][(time >= begin) & (time <= end)].sum())
             size = float(np.abs(np.median(torque[first:last])))
-            found.append(_Stretch(float(end - begin), size, largest - size, energy))
-    return found
+            stretches.append(_Stretch(float(end - begin), size, largest - size, energy))
+    return stretches
 
 
 def _stands_still(
@@ -159,9 +159,9 @@ def _stands_still(
         error = noise * np.sqrt(2 / half)
         should = enough & (np.abs(expected) > LIMITS.deviations * max(2 * error, background))
         flat = spread <= noise**2 * (1 + LIMITS.deviations / np.sqrt(half)) + 1e-12 * of_square[-1] / len(time)
-        stands = should & flat & (np.abs(change) < LIMITS.negligible * np.abs(expected) + LIMITS.deviations * error)
-        np.add.at(starts, a[stands], 1)
-        np.add.at(starts, c[stands], -1)
+        flat_here = should & flat & (np.abs(change) < LIMITS.negligible * np.abs(expected) + LIMITS.deviations * error)
+        np.add.at(starts, a[flat_here], 1)
+        np.add.at(starts, c[flat_here], -1)
     return np.cumsum(starts)[:-1] > 0
 
 

@@ -56,8 +56,8 @@ class MotionGap:
     def causes(self, of_path: Sequence[str]) -> list[Cause] | None:
         """The gap as a cause, by the first of these effects, if any; None if nothing explains it."""
         parameters = {"rate": self.rate, "shift": self.shift, "blend": self.blend}
-        found = [Cause(name, (), self.closure, LAW.certain, parameters) for name in of_path[:1]]
-        return found if self.described else None
+        named = [Cause(name, (), self.closure, LAW.certain, parameters) for name in of_path[:1]]
+        return named if self.described else None
 
     @property
     def practical(self) -> bool:
@@ -88,9 +88,9 @@ def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
         return as_it_is
     stopped = [replace(pair, starts=_after_stops(pair)) for pair in pairs]
     tried = [gap for some in (pairs, stopped) if (gap := _described(logs, some, before)) is not None]
-    found = min(tried, key=lambda gap: float(np.sum(gap.after**2)), default=as_it_is)
+    best = min(tried, key=lambda gap: float(np.sum(gap.after**2)), default=as_it_is)
     # other corners and ramps are no change of rate: what one motion teaches then makes another one worse
-    return found if found.practical and np.sum(found.after**2) < np.sum(before**2) else as_it_is
+    return best if best.practical and np.sum(best.after**2) < np.sum(before**2) else as_it_is
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,12 +123,12 @@ def _described(logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray) 
     fitted = [_fit(pair) for pair in pairs]
     errors = []
     for number, pair in enumerate(pairs):
-        others = [one for k, one in enumerate(fitted) if k != number] or fitted
+        others = [of_pair for k, of_pair in enumerate(fitted) if k != number] or fitted
         rate, shift, blend = (float(np.median([other[k] for other in others])) for k in range(3))
         errors.append(pair.executed - _executed(pair, rate, shift if len(pair.starts) else fitted[number][1], blend))
         if _rms(errors[-1:]).max() > max(_rms([pair.executed - pair.planned]).max(), LIMITS.path_gap):
             return None
-    rate, shift, blend = (float(np.median([one[k] for one in fitted])) for k in range(3))
+    rate, shift, blend = (float(np.median([of_pair[k] for of_pair in fitted])) for k in range(3))
     return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend)
 
 

@@ -29,18 +29,20 @@ def regimes(dataset: Dataset, error: np.ndarray, joint: int, floor: float = 0.0)
     """
     excess = np.where(np.isfinite(error), error**2 - floor**2, 0.0)
     blocks = _block_numbers(dataset)
-    found = [
+    shares = [
         RegimeShare(name, *_share(excess, mask, blocks), float(np.mean(mask)))
         for name, mask in masks(dataset, joint).items()
     ]
-    found += [
+    shares += [
         RegimeShare(f"frequency {_band_name(*band)}", float(share), None, 1.0)
         for band, share in zip(BANDS, band_shares(dataset, error), strict=True)
     ]
     phase = motor_phase_share(dataset, error, joint)
     if phase is not None:
-        found.append(RegimeShare("motor_phase", phase, None, 1.0))
-    return tuple(sorted((entry for entry in found if entry.share >= LIMITS.negligible), key=lambda entry: -entry.share))
+        shares.append(RegimeShare("motor_phase", phase, None, 1.0))
+    return tuple(
+        sorted((entry for entry in shares if entry.share >= LIMITS.negligible), key=lambda entry: -entry.share)
+    )
 
 
 def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray) -> np.ndarray:
@@ -62,8 +64,8 @@ def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
         for parts in ([s.q for s in signals], [s.rigid for s in signals], [s.qdd for s in signals])
     )
     slowest = standstill_speed([dataset.speed], dataset.robot.max_velocity)[joint]
-    found = regime_masks(q, dataset.speed[:, joint], acceleration, load, float(slowest), dataset.rate)
-    return found | dict(_in_time(dataset))
+    of_state = regime_masks(q, dataset.speed[:, joint], acceleration, load, float(slowest), dataset.rate)
+    return of_state | dict(_in_time(dataset))
 
 
 def band_shares(dataset: Dataset, error: np.ndarray) -> np.ndarray:
@@ -101,10 +103,10 @@ def motor_phase_share(dataset: Dataset, error: np.ndarray, joint: int) -> float 
     if turns < _REPEATS:
         return None
     phase = (np.mod(angle[slow], 2 * np.pi) / (2 * np.pi) * _PHASES).astype(int) % _PHASES
-    left = error[slow] - np.mean(error[slow])
+    deviation = error[slow] - np.mean(error[slow])
     count = np.bincount(phase, minlength=_PHASES)
-    mean = np.bincount(phase, left, _PHASES) / np.maximum(count, 1)
-    total = float(np.sum(left**2))
+    mean = np.bincount(phase, deviation, _PHASES) / np.maximum(count, 1)
+    total = float(np.sum(deviation**2))
     explained = float(np.sum(count * mean**2)) / max(total, 1e-300) - 1 / turns
     return max(explained, 0.0) * total / max(float(np.nansum(error**2)), 1e-300)
 

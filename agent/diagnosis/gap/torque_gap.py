@@ -76,16 +76,16 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     """The gap with the effects of a fit: every row under the parameters that did not see it."""
     if unit is None:
         unit = np.nan_to_num(dataset.robot.nominal_torque, nan=1.0)
-    left = fit.out_of_fold(fit.transient)
+    remaining = fit.out_of_fold(fit.transient)
     raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
-    raw = np.where(np.isnan(left[:, :1]), np.nan, raw)
+    raw = np.where(np.isnan(remaining[:, :1]), np.nan, raw)
     # friction that is predicted to hold one way may hold the other way: twice the level
     possible = np.maximum(fit.sigma, 2 * stiction(fit.reference))
-    stuck = np.where(fit.near_rest, np.minimum(np.abs(left), possible), 0.0)
-    raw, left = _beyond(raw, stuck), _beyond(left, stuck)
-    before, after = rms(raw) / unit, rms(left) / unit
-    floor = _floor(dataset, left, unit, before)
-    return HeldOutGap(raw, left, stuck, unit, before, after, floor)
+    stuck = np.where(fit.near_rest, np.minimum(np.abs(remaining), possible), 0.0)
+    raw, remaining = _beyond(raw, stuck), _beyond(remaining, stuck)
+    before, after = rms(raw) / unit, rms(remaining) / unit
+    floor = _floor(dataset, remaining, unit, before)
+    return HeldOutGap(raw, remaining, stuck, unit, before, after, floor)
 
 
 def _beyond(rows: np.ndarray, stuck: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def rms(rows: np.ndarray) -> np.ndarray:
     return np.sqrt(np.nanmean(rows**2, axis=0))
 
 
-def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:
+def _floor(dataset: Dataset, remaining: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:
     """√(½ mean (e_{c+1} − e_c)²) over adjacent cycles of the final residual, at equal times since the cycle's start."""
     parts = []
     for number, log in enumerate(dataset.logs):
@@ -106,7 +106,7 @@ def _floor(dataset: Dataset, left: np.ndarray, unit: np.ndarray, before: np.ndar
         if len(starts) < 2:
             continue
         here = dataset.log == number
-        time, rows = dataset.time[here], left[here]
+        time, rows = dataset.time[here], remaining[here]
         good = ~np.isnan(rows[:, 0])
         time, rows = time[good], rows[good]
         if len(time) < LIMITS.fewest:

@@ -24,17 +24,17 @@ def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[HypothesisKey, 
     happens once has none.
     """
     coverage = MotionCoverage.of(dataset.fit.signals)
-    found: dict[HypothesisKey, float] = {}
+    smallest: dict[HypothesisKey, float] = {}
     for number, size in enumerate(evidence.smallest_sizes()):
         candidate = evidence.pool.candidate(number)
         if not candidate.transient:
             place = candidate.place
-            found[place] = min(found.get(place, np.inf), size / candidate.effect.practical)
+            smallest[place] = min(smallest.get(place, np.inf), size / candidate.effect.practical)
     for effect in CATALOGUE.values():
         for joints in () if effect.transient or effect.shows_in == "path" else effect.places(dataset.robot):
-            if (effect.name, joints) not in found and coverage.lacking(effect, joints):
-                found[effect.name, joints] = np.inf
-    return found
+            if (effect.name, joints) not in smallest and coverage.lacking(effect, joints):
+                smallest[effect.name, joints] = np.inf
+    return smallest
 
 
 def power(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]) -> list[EffectPower]:
@@ -42,7 +42,7 @@ def power(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]
 
     A joint that never moved has an entry only for effects that would have shown without motion.
     """
-    robot, scale, found = dataset.robot, dataset.fit.reference.scale, []
+    robot, scale, entries = dataset.robot, dataset.fit.reference.scale, []
     moved = search.coverage.moved
     for (name, joints), size in sizes.items():
         if name not in search.allowed or not (np.isfinite(size) or moved[list(joints)].all()):
@@ -52,8 +52,8 @@ def power(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]
         practical = CATALOGUE[name].practical * unit
         where = ", ".join(robot.joint_names[j] for j in joints) or None
         smallest = float(f"{size * practical:.3g}") if np.isfinite(size) else None  # no more digits mean anything
-        found.append(EffectPower(name, where, smallest, practical))
-    return found
+        entries.append(EffectPower(name, where, smallest, practical))
+    return entries
 
 
 def not_testable(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]) -> list[NotTestable]:
@@ -97,7 +97,7 @@ def _why_small(effect: Effect, size: float, given: bool, unit: str) -> str:
     """`size` in practical sizes: the smallest that would be found."""
     if not given:
         return "no model was given: the fit to these logs absorbs it"
-    found = f"it would be found from {100 * size * effect.practical:.1f} {unit} on"
+    text = f"it would be found from {100 * size * effect.practical:.1f} {unit} on"
     if not size * effect.practical < 5:
-        found = "no size would be found"
-    return f"on these motions {found}, and it matters from {100 * effect.practical:.1f} {unit.split()[0]} on"
+        text = "no size would be found"
+    return f"on these motions {text}, and it matters from {100 * effect.practical:.1f} {unit.split()[0]} on"

@@ -60,10 +60,10 @@ class StandstillWhitening:
     @classmethod
     def of(cls, signals: Sequence[MotionSignals], repeat: float) -> StandstillWhitening:
         """Of some motions in a row, `repeat` rows of which are an independent one."""
-        found = at_rest(signals)
+        still = at_rest(signals)
         ends = np.cumsum([len(motion.time[motion.kept]) for motion in signals])
         found_per_joint = []
-        for column in found.T:
+        for column in still.T:
             number = np.where(column, np.searchsorted(ends, np.arange(len(column)), side="right"), -1)
             edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1, [len(number)]])
             spans = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
@@ -85,22 +85,22 @@ class StandstillWhitening:
     def _at(self) -> list[tuple[np.ndarray, ...]]:
         """Per joint the rows of all stretches, where each begins among these, its length, and what is taken off of its
         sum."""
-        found: list[tuple[np.ndarray, ...]] = []
+        parts: list[tuple[np.ndarray, ...]] = []
         for stretches in self.stretches:
             lengths = np.array([after - first for first, after, _ in stretches], dtype=int)
             rows = np.concatenate(
                 [np.arange(first, after) for first, after, _ in stretches] or [np.empty(0, dtype=int)]
             )
             count = np.array([count for *_, count in stretches])
-            found.append((rows, np.cumsum(lengths) - lengths, lengths, (1 - 1 / np.sqrt(1 + count)) / lengths))
-        return found
+            parts.append((rows, np.cumsum(lengths) - lengths, lengths, (1 - 1 / np.sqrt(1 + count)) / lengths))
+        return parts
 
     def inside(self, count: int) -> np.ndarray:
         """(S', n) bool, of S' = `count` rows: which are in a rest of a joint; one that never moves has no others."""
-        found = np.zeros((count, len(self.stretches)), dtype=bool)
+        inside = np.zeros((count, len(self.stretches)), dtype=bool)
         for joint, (rows, *_) in enumerate(self._at):
-            found[rows, joint] = True
-        return found
+            inside[rows, joint] = True
+        return inside
 
 
 def _count(rows: np.ndarray, before: int, after: int) -> np.ndarray:

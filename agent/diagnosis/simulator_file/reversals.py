@@ -39,9 +39,9 @@ def with_reversals(dataset: Dataset) -> IdentifiedModel:
             parts = [s.low_pass(np.outer(s.axles.direction(term.axle, reversal), share)) for s in signals]
             columns.append(np.concatenate(parts) / dataset.fit.sigma)
         target = dataset.residual / dataset.fit.sigma + level * columns[0]
-        left = [_left(target, column) for column in columns]
-        best = int(np.argmin(left))
-        if left[best] < (1 - LIMITS.least_gain) * left[0]:
+        error = [_left(target, column) for column in columns]
+        best = int(np.argmin(error))
+        if error[best] < (1 - LIMITS.least_gain) * error[0]:
             terms[k] = replace(term, reversal=options[best])
     return replace(model, terms=tuple(terms))
 
@@ -54,9 +54,9 @@ def _left(target: np.ndarray, column: np.ndarray) -> float:
 
 def reversals_as_effects(model: IdentifiedModel, change: np.ndarray) -> list[ModelEffect]:
     """These reversals for a simulator that changes the sign at once, at the levels after a `change` (p,)."""
-    found, names = [], model.robot.joint_names
+    effects, names = [], model.robot.joint_names
     for k, term in enumerate(model.terms):
         level = float(model.values[len(model.independent) + k] + change[len(model.independent) + k])
         if term.form == "coulomb" and term.reversal is not None and term.reversal.kind == "travel" and level > 0:
-            found.append(reversal_over((names[term.axle],), float(term.reversal.scale), level))
-    return found
+            effects.append(reversal_over((names[term.axle],), float(term.reversal.scale), level))
+    return effects
