@@ -129,7 +129,7 @@ class Written:
             form = sum((self.over_noise(one) ** 2 for one in torque), moved)
             error = self.over_noise(plain @ pull) ** 2
             for j in (touched if nothing else (0, 1)) if refit else ():
-                scales[j] = (law.nu + count * error[j]) / (law.nu + count)
+                scales[j] = max((law.nu + count * error[j]) / (law.nu + count), 0.2)
         log = self.density(whole) + 0.5 * self.start @ self.fit.shift  # as the prior's own is left out
         log += 0.5 * (1 - WEIGHT) * ROWS * np.sum(np.log(scales)) - ROWS * np.log(WEIGHT)
         log -= 0.5 * np.sum((law.nu + 2) * np.log(scales) + law.nu / scales)
@@ -328,12 +328,12 @@ def test_smooth_columns_are_straight_between_nodes():
         return np.stack([np.interp(x, nodes, one) for one in np.eye(count)], axis=1)
 
     expected = [
-        *(hats(q, q.min(), q.max(), 5), turns * hats(q, q.min(), q.max(), 5)),
-        *(turns * hats(np.abs(qd), 0, top, 5), hats(np.abs(qd), 0, top, 5)),
+        *(hats(q, q.min(), q.max(), 8), turns * hats(q, q.min(), q.max(), 5)),
+        *(turns * hats(np.abs(qd), 0, top, 5), hats(np.abs(qd), 0, top, 4)),
         *(hats(qdd, qdd.min(), qdd.max(), 5), logs, turns * logs),
-        *(hats(time, 0, 10.5, 5) * logs[:, :1], hats(time, 5, 8, 3) * logs[:, 1:]),
+        *(hats(time, 0, 10.5, 4) * logs[:, :1], hats(time, 5, 8, 3) * logs[:, 1:]),
     ]
     np.testing.assert_allclose(smooth_columns(q, qd, qdd, time, log), np.hstack(expected), atol=1e-9)
     still = smooth_columns(np.ones(290), np.zeros(290), np.zeros(290), time, log)
     assert np.isfinite(still).all()
-    assert still.shape == (290, 1 + 1 + 1 + 2 + 5 + 3)
+    assert still.shape == (290, 1 + 1 + 1 + 2 + 4 + 3)

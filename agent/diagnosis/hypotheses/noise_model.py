@@ -24,7 +24,6 @@ _ROWS = 0.016  # numerical: s between the rows that are kept: their rate is twic
 _FORM = 100.0  # numerical: of σ² per noise column for a wrong form, at most: moments are of float32 columns
 _NOTICED = 0.01  # numerical: energy over σ² of a direction of the noise model that is kept
 _DRIFT = 3.0  # s between the nodes of a drift in time
-_NODES = 5  # of a smooth function of a joint's position, speed or acceleration
 _TURNING = 0.03  # of the highest speed, over which friction turns around
 
 
@@ -210,11 +209,11 @@ def smooth_parts(
     drift = []
     for here in logs.T.astype(bool):
         low, high = float(time[here].min()), float(time[here].max())
-        drift.append(_hats(time, 2 + int((high - low) / _DRIFT), low, high) * here[:, None])
+        drift.append(_hats(time, max(3, int((high - low) / _DRIFT) + 1), low, high) * here[:, None])
     return {
-        "position": np.hstack([_hats(q, _NODES), sign * _hats(q, _NODES)]),
-        "speed": np.hstack([sign * _hats(speed, _NODES, 0.0), _hats(speed, _NODES, 0.0)]),
-        "acceleration": _hats(qdd, _NODES),
+        "position": np.hstack([_hats(q, 8), sign * _hats(q, 5)]),
+        "speed": np.hstack([sign * _hats(speed, 5, 0.0), _hats(speed, 4, 0.0)]),
+        "acceleration": _hats(qdd, 5),
         "time": np.hstack([logs, sign * logs, *drift]),
     }
 
