@@ -138,7 +138,7 @@ VAGUE = {"found", "one", "left", "rest", "turn", "lay", "stands", "beside"}
 VAGUE_YET = (
     *("agent/compiled/", "agent/core/", "agent/diagnosis/hypotheses/", "agent/diagnosis/position_logs/"),
     *("agent/diagnosis/rows/", "agent/diagnosis/simulator_file/", "agent/link/", "agent/notebook/"),
-    *("agent/pipeline/gap/", "agent/recipe/", "agent/recording/repair/clock.py", "agent/safety/"),
+    *("agent/pipeline/gap/", "agent/recipe/", "agent/safety/"),
     "fake_controller/ros2/",
 )
 

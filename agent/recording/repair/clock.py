@@ -105,11 +105,11 @@ def with_lost_rows(stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray
     large = np.quantile(square, 0.95)
     clear = square > _CLEAR**2 * large
     times = np.sum(way * by_velocity, axis=1) / np.where(square > 0, square, 1.0)
-    left = np.sum((way - times[:, None] * by_velocity) ** 2, axis=1)
+    error = np.sum((way - times[:, None] * by_velocity) ** 2, axis=1)
     periods = np.rint(times)
     # a velocity that is not the derivative of its position says nothing
     agrees = clear.any() and np.median(np.abs(times[clear] - 1)) < _WHOLE / 2
-    lost = clear & (periods >= 2) & (np.abs(times - periods) < _WHOLE) & (left < _WHOLE**2 * np.sum(way**2, axis=1))
+    lost = clear & (periods >= 2) & (np.abs(times - periods) < _WHOLE) & (error < _WHOLE**2 * np.sum(way**2, axis=1))
     if not agrees:
         return stamp, []
     beyond = np.pad(np.cumsum(way - by_velocity, axis=0), ((_SPIKE + 1, _SPIKE), (0, 0)), mode="edge")
