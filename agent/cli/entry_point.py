@@ -37,9 +37,6 @@ def main() -> None:
         warnings.simplefilter("ignore")
         os.environ["PYTHONWARNINGS"] = "ignore"  # of processes that this one starts
     gc.set_threshold(_COLLECT_EVERY)
-    if not sys.warnoptions:  # libraries warn of their own insides, NumPy of every division by zero
-        warnings.simplefilter("ignore")
-        os.environ["PYTHONWARNINGS"] = "ignore"  # of processes that are started
     open_standard_descriptors()
     with signals_raised(), patient_messages(hang_up):
         _run()

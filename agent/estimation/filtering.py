@@ -144,7 +144,7 @@ class Motion:
         """(n,) joints at standstill with constant torque: a brake holds them, and no measured torque says with what."""
         assert self.torque is not None
         least = zip((self.q, self.torque), _BRAKED, strict=True)
-        return np.logical_and.reduce([np.ptp(values, axis=0) <= limit for values, limit in least])
+        return np.asarray(np.all([np.ptp(values, axis=0) <= limit for values, limit in least], axis=0))
 
     def low_pass(self, signals: np.ndarray, every: int = 1) -> np.ndarray:
         """(S, m) signals of this motion → (S', m) filtered at the cut-off, edges dropped, every `step`-th sample.

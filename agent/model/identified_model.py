@@ -146,7 +146,7 @@ class IdentifiedModel(RigidFrictionModel):
     def summary(self, next_step: str) -> str:
         """What to do (`next_step` unless motion is missing), friction and held-out error of every joint, and doubts."""
         units = torque_units(self.robot)
-        rows = [("joint", "Coulomb", "viscous", "held-out RMSE", "")]
+        rows: list[tuple[str, ...]] = [("joint", "Coulomb", "viscous", "held-out RMSE", "")]
         for k, (joint, unit) in enumerate(zip(self.robot.joints, units, strict=True)):
             friction = [self._friction_cell(k, form) for form in ("coulomb", "viscous")]
             rows.append((joint.name, *friction, f"{self.held_out_rmse[k]:.3g}", f"{unit} and {self._viscous_unit(k)}"))
