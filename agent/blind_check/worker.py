@@ -52,7 +52,7 @@ def diagnose_run(folder: Path, without: Sequence[str] = ()) -> dict[str, Any]:
         parts = sorted(recorded.glob("*.csv")) or [recorded]
         logs = [log for part in parts for log in read_recording(part, arm)[0]]
         simulator = load_simulator(file, None, arm.joint_names)
-        return diagnose(simulator.robot, logs, simulator.model, simulator=simulator, without=without).result
+        return diagnose(simulator.model.robot, logs, simulator.model, simulator=simulator, without=without).result
     robot = load_robot(folder / "robot.yaml")
     baseline, logs = (
         [read_log(log, robot) for log in sorted((folder / session).glob("*.mcap"))] for session in ("baseline", "logs")

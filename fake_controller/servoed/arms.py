@@ -167,9 +167,10 @@ def draw_arm(seed: int) -> DrawnArm:
     inertia = mass[:, None] / 12 * (squares.sum(axis=1, keepdims=True) - squares)
     armature = rng.uniform(*kind.rotor, n) * smaller
     half = rng.uniform(1.1, 1.7, n)
+    none = np.zeros(n)
     bare = DrawnArm(
         kind, origin, axes, mass, 0.45 * out, inertia, rng.uniform(-0.3, 0.3, n), half, armature, (),
-        *np.zeros((5, n)), 0.0, 0.0, 0.0, True,
+        none, none, none, none, none, 0.0, 0.0, 0.0, True,
     )  # fmt: skip
     robot = _robot(bare)
     dynamics = Dynamics(robot)
@@ -179,13 +180,16 @@ def draw_arm(seed: int) -> DrawnArm:
     kp = np.maximum((2 * np.pi * rng.uniform(*kind.frequency, n)) ** 2 * whole, load / 0.1)
     damping = 2 * rng.uniform(*kind.ratio, n) * np.sqrt(kp * whole)
     kv = damping * rng.uniform(0.3, 0.8, n)
-    coulomb = kp * np.exp(rng.uniform(*np.log(kind.friction), n))
+    low, high = np.log(kind.friction).tolist()
+    coulomb = kp * np.exp(rng.uniform(low, high, n))
     limit = (load + coulomb + 0.15 * kp) * rng.uniform(1.1, 1.6, n)
     stiffness = np.minimum(coulomb / rng.uniform(*kind.presliding, n), armature * _FRACTION_OF_RATE**2)
     rise, speed = coulomb * rng.uniform(0.0, 0.05, n), rng.uniform(0.01, 0.03, n)
     curves = tuple(
-        FrictionCurve(*map(float, row), 50.0, float(stiff))
-        for *row, stiff in zip(coulomb, rise, speed, damping - kv, stiffness, strict=True)
+        FrictionCurve(level, rising, bent, viscous, 50.0, stiff)
+        for level, rising, bent, viscous, stiff in np.column_stack(
+            [coulomb, rise, speed, damping - kv, stiffness]
+        ).tolist()
     )
     late = float(rng.choice([0.0, rng.uniform(0.002, 0.03)]))
     return replace(
