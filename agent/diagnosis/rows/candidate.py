@@ -57,6 +57,7 @@ class Candidate:
     """An effect somewhere, with nonlinear parameters chosen.
 
     `blocks`: joint → (S', k) over σ, all motions in a row; `prior` (k, k): precision of its parameters, None without.
+    `stable`: whether its torque can be computed with; that of an unstable simulation overflows.
     """
 
     effect: Effect
@@ -66,6 +67,7 @@ class Candidate:
     blocks: Mapping[int, np.ndarray]
     prior: np.ndarray | None
     reference: NominalModel
+    stable: bool = True
 
     @property
     def place(self) -> HypothesisKey:
@@ -76,11 +78,6 @@ class Candidate:
     def transient(self) -> bool:
         """Whether it happens once, so that no other log tells of it and it is judged by `single` folds."""
         return self.effect.happens_once(self.settings)
-
-    @property
-    def stable(self) -> bool:
-        """Whether its torque can be computed with; that of an unstable simulation overflows."""
-        return all(np.abs(block).max(initial=0.0) < 1e15 for block in self.blocks.values())
 
     def release(self) -> None:
         """Free the memory of its columns, if they can be made again."""
@@ -120,7 +117,8 @@ def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candi
         # not the context: it remembers the candidate, and a circle is not freed with the last reference
         again = partial(_made_again, motions, (effect, joints, settings))
         columns, names = Blocks(blocks, again), effect.names(settings)
-        made.append(Candidate(effect, joints, dict(settings), names, columns, prior, context.reference))
+        stable = all(np.abs(block).max(initial=0.0) < 1e15 for block in blocks.values())
+        made.append(Candidate(effect, joints, dict(settings), names, columns, prior, context.reference, stable))
     return made
 
 
