@@ -32,7 +32,8 @@ _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which 
 @dataclass(frozen=True, eq=False)
 class FitSamples:
     """S low-passed samples: q, qd, qdd, torque and the direction of motion, all (S, n), and the `fold` (S,) that each
-    is held out with; `independent` is the number of independent samples."""
+    is held out with; `independent` is the number of independent samples. `braked` (S, n): where a brake holds a
+    joint, so that its torque is not measured; nowhere without."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -41,6 +42,7 @@ class FitSamples:
     direction: np.ndarray
     fold: np.ndarray
     independent: float
+    braked: np.ndarray | None = None
 
     @property
     def rows_each(self) -> float:
@@ -50,7 +52,7 @@ class FitSamples:
 
 def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
     """Samples of all logs that are long enough to be filtered; None where that leaves too few."""
-    parts, folds, independent = [], [], 0.0
+    parts, folds, braked, independent = [], [], [], 0.0
     for log in logs:
         cutoff = min(_CUTOFF, resolve_cutoff(log, FilterSettings()))
         try:
@@ -63,6 +65,7 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
             torque = np.where(motion.braked, 0.0, motion.torque)
             signals = (motion.q, motion.qd, motion.qdd, torque, np.tanh(motion.qd / still))
             parts.append(motion.low_pass(np.hstack(signals)))
+            braked.append(np.broadcast_to(motion.braked, (len(parts[-1]), len(motion.braked))))
             folds.append(_held_together(motion.time[motion.kept], motion.cycle_starts))
             independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
     rows = np.concatenate(parts) if parts else np.empty((0, 5))
@@ -71,7 +74,7 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
     q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
-    return FitSamples(q, qd, qdd, torque, direction, fold, independent)
+    return FitSamples(q, qd, qdd, torque, direction, fold, independent, np.concatenate(braked)[::every])
 
 
 def _held_together(time: np.ndarray, cycle_starts: Sequence[float]) -> np.ndarray:
@@ -108,7 +111,7 @@ class RigidFit:
         friction = [coupling.T[None] * column[:, None, :] for column in (s.direction, s.qd @ coupling.T)]
         bodies = self.regressor(s.q, s.qd, s.qdd)
         columns = np.concatenate([bodies, *friction, np.broadcast_to(offset, (len(s.q), *offset.shape))], axis=2)
-        self.columns = columns * (s.torque != 0)[:, :, None]  # a brake holds the others
+        self.columns = columns if s.braked is None else columns * ~s.braked[:, :, None]
         self.precision = self._sizes() ** -2 * _PRIOR_WEIGHT * s.rows_each if precision is None else precision
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:

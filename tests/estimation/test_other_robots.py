@@ -257,7 +257,7 @@ def test_a_fit_that_cannot_predict_held_out_data_blames_no_joint(arm, multisine,
     rng = np.random.default_rng(1)
     fold = np.arange(count) * FOLDS // count
     q += 1.5 * rng.normal(size=(FOLDS, 7))[fold]  # every part of the log is elsewhere
-    samples = FitSamples(q, qd, qdd, np.ones_like(q), np.sign(qd), fold, float(count))
+    samples = FitSamples(q, qd, qdd, np.zeros_like(q), np.sign(qd), fold, float(count))
     torque = RigidFit(Dynamics(robot), samples).columns @ rng.normal(size=14 * 7)
     torque += 0.1 * np.std(torque, axis=0) * rng.normal(size=q.shape)
     samples = FitSamples(q, qd, qdd, torque, samples.direction, fold, float(count))
