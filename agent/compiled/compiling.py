@@ -47,7 +47,7 @@ def _own_folder() -> str:
     """
     folder = Path(tempfile.gettempdir()) / f"calibration-agent-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
         raise OSError(f"{folder} is not this user's alone")
     return str(folder)

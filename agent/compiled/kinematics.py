@@ -14,7 +14,7 @@ from agent.compiled.compiling import compiled
 _FUSED = get_host_cpu_features().get("fma", True)
 
 
-def _product_added(_: Any, one: Any, other: Any, added: Any) -> Any:
+def _product_added(_: Any, first: Any, other: Any, added: Any) -> Any:
     """one · other + added, rounded once where the processor can, which is what BLAS does."""
 
     def generate(_: Any, builder: Any, __: Any, values: Any) -> Any:
@@ -81,7 +81,7 @@ def forward_and_jacobian(  # noqa: C901
 def apart(target: np.ndarray, actual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of poses (S, 4, 4) (S, 6) the displacement and the axis times twice the sine of the turn, from actual to target;
     and (2, S) twice the turn's sine and cosine."""
-    error, turn = np.empty((len(target), 6)), np.empty((2, len(target)))
+    error, rotation_size = np.empty((len(target), 6)), np.empty((2, len(target)))
     rotation = np.empty((3, 3))
     for k in range(len(target)):
         for row in range(3):
@@ -95,6 +95,6 @@ def apart(target: np.ndarray, actual: np.ndarray) -> tuple[np.ndarray, np.ndarra
         y = rotation[0, 2] - rotation[2, 0]
         z = rotation[1, 0] - rotation[0, 1]
         error[k, 3], error[k, 4], error[k, 5] = x, y, z
-        turn[0, k] = np.sqrt(x * x + y * y + z * z)
-        turn[1, k] = rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0
-    return error, turn
+        rotation_size[0, k] = np.sqrt(x * x + y * y + z * z)
+        rotation_size[1, k] = rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1.0
+    return error, rotation_size

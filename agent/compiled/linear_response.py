@@ -16,7 +16,7 @@ def stepped(
     system A (S, m, m), entry B (S, m, J) and inputs u (S, J, K) of each of S steps; there are S + 1 states.
     """
     steps, size, columns = len(system), system.shape[1], inputs.shape[2]
-    found = np.zeros(((steps - first) // every + 1, outputs, columns))
+    answers = np.zeros(((steps - first) // every + 1, outputs, columns))
     state, before = np.zeros((size, columns)), np.zeros((size, columns))
     row = 1 if first == 0 else 0
     for k in range(steps):
@@ -33,6 +33,6 @@ def stepped(
                 for c in range(columns):
                     state[i, c] += factor * inputs[k, j, c]
         if k + 1 == first + row * every:
-            found[row] = state[:outputs]
+            answers[row] = state[:outputs]
             row += 1
-    return found
+    return answers

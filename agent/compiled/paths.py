@@ -19,17 +19,22 @@ def _multiply(left: np.ndarray, right: np.ndarray, product: np.ndarray) -> None:
 
 
 @compiled("void(f8[::1], f8[::1])")
-def _conjugate(quaternion: np.ndarray, found: np.ndarray) -> None:
-    found[0], found[1], found[2], found[3] = quaternion[0], -quaternion[1], -quaternion[2], -quaternion[3]
+def _conjugate(quaternion: np.ndarray, conjugate: np.ndarray) -> None:
+    conjugate[0], conjugate[1], conjugate[2], conjugate[3] = (
+        quaternion[0],
+        -quaternion[1],
+        -quaternion[2],
+        -quaternion[3],
+    )
 
 
 @compiled("f8[:,::1](f8[:,::1], f8[:,::1])")
 def products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """(S, 4) Hamilton products of quaternions; a single one (1, 4) on either side goes with all of the other."""
-    found = np.empty((len(left) if len(right) == 1 else len(right), 4))
-    for k in range(len(found)):
-        _multiply(left[min(k, len(left) - 1)], right[min(k, len(right) - 1)], found[k])
-    return found
+    product = np.empty((len(left) if len(right) == 1 else len(right), 4))
+    for k in range(len(product)):
+        _multiply(left[min(k, len(left) - 1)], right[min(k, len(right) - 1)], product[k])
+    return product
 
 
 @compiled("f8[:,::1](f8[::1], f8[:,:])")
@@ -82,16 +87,16 @@ def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
     Their third derivatives do not jump at the second knot nor at the last but one.
     """
     count, cells = len(rows), len(x) - 1
-    found, slope = np.empty((4, count, cells)), _slopes(x, rows)
+    coefficients, slope = np.empty((4, count, cells)), _slopes(x, rows)
     for row in range(count):
         for k in range(cells):
             h = x[k + 1] - x[k]
             chord = (rows[row, k + 1] - rows[row, k]) / h
             bent = (slope[k, row] + slope[k + 1, row] - 2.0 * chord) / h
-            found[0, row, k] = bent / h
-            found[1, row, k] = (chord - slope[k, row]) / h - bent
-            found[2, row, k], found[3, row, k] = slope[k, row], rows[row, k]
-    return found
+            coefficients[0, row, k] = bent / h
+            coefficients[1, row, k] = (chord - slope[k, row]) / h - bent
+            coefficients[2, row, k], coefficients[3, row, k] = slope[k, row], rows[row, k]
+    return coefficients
 
 
 @compiled("Tuple((f8[:,:,::1], f8[:,:,:,::1]))(f8[:,:,::1], f8, f8[:,:])")
@@ -104,10 +109,10 @@ def derivatives(coefficients: np.ndarray, last: float, orientation: np.ndarray) 
     derivative 2 Q'' Q* but for a scalar part; Q' is across Q.
     """
     _, rows, cells = coefficients.shape
-    found, tool = np.empty((3, rows, cells + 1)), np.empty((2, 2, cells + 1, 3))
+    changes, tool = np.empty((3, rows, cells + 1)), np.empty((2, 2, cells + 1, 3))
     for row in range(rows):
         cubic, square, linear = coefficients[0, row], coefficients[1, row], coefficients[2, row]
-        first, second, third = found[0, row], found[1, row], found[2, row]
+        first, second, third = changes[0, row], changes[1, row], changes[2, row]
         for k in range(cells):
             first[k], second[k], third[k] = linear[k], 2.0 * square[k], 6.0 * cubic[k]
         first[cells] = linear[cells - 1] + last * (2.0 * square[cells - 1] + 3.0 * last * cubic[cells - 1])
@@ -121,10 +126,10 @@ def derivatives(coefficients: np.ndarray, last: float, orientation: np.ndarray) 
         _conjugate(np.ascontiguousarray(orientation[k]), inverse)
         for order in range(2):
             for row in range(3):
-                tool[0, order, k, row] = found[order, rows - 7 + row, k]
+                tool[0, order, k, row] = changes[order, rows - 7 + row, k]
             for row in range(4):
-                rate[row] = found[order, rows - 4 + row, k]
+                rate[row] = changes[order, rows - 4 + row, k]
             _multiply(rate, inverse, product)
             for row in range(3):
                 tool[1, order, k, row] = 2.0 * product[row + 1]
-    return found, tool
+    return changes, tool

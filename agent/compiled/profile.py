@@ -18,16 +18,16 @@ def growth(
     curve takes its part of a limit, the sum of squares is the limit's. `part` (K - 1,) is left by overrides.
     """
     (count, cells), limits = joints.shape, len(steps)
-    total, left = np.zeros((count + limits, cells + 1)), np.empty(cells + 1)
+    total, along = np.zeros((count + limits, cells + 1)), np.empty(cells + 1)
     for row in range(count):
         for k in range(cells):
             total[row, k + 1] = total[row, k] + joints[row, k] * part[k]
     for row in range(limits):
         for k in range(cells + 1):
             bent = tool[0, row, k] * ceiling[k] / tool[1, row, k]
-            left[k] = np.sqrt(max(1.0 - bent * bent, 0.0)) * tool[2, row, k]
+            along[k] = np.sqrt(max(1.0 - bent * bent, 0.0)) * tool[2, row, k]
         for k in range(cells):
-            change = 2.0 * min(left[k + 1], left[k]) * steps[row, k]
+            change = 2.0 * min(along[k + 1], along[k]) * steps[row, k]
             total[count + row, k + 1] = total[count + row, k] + change * part[k]
     return total
 
@@ -107,8 +107,8 @@ def held(s: np.ndarray, ceiling: np.ndarray, window: float) -> np.ndarray:
 @compiled("f8[:,::1](f8[::1], f8[::1])")
 def law_at(s: np.ndarray, z: np.ndarray) -> np.ndarray:
     """(4, K) time, speed, acceleration up to the next knot and integral of s - s₀, with z = ṡ² linear between knots."""
-    found = np.zeros((4, len(s)))
-    time, speed, acceleration, integral = found[0], found[1], found[2], found[3]
+    law = np.zeros((4, len(s)))
+    time, speed, acceleration, integral = law[0], law[1], law[2], law[3]
     for k in range(len(s)):
         speed[k] = np.sqrt(z[k])
     for k in range(len(s) - 1):
@@ -117,7 +117,7 @@ def law_at(s: np.ndarray, z: np.ndarray) -> np.ndarray:
         a = (speed[k + 1] - v) / dt
         time[k + 1], acceleration[k] = time[k] + dt, a
         integral[k + 1] = integral[k] + dt * (way + dt * (0.5 * v + a * dt / 6.0))
-    return found
+    return law
 
 
 @compiled("f8[::1](f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i8)")
@@ -142,8 +142,8 @@ def lowered(
                 lowest[other] = min(lowest[other], needed * needed)
     # A sample that breaks a limit as the arm sets off says nothing about the speed; the minimum keeps the arm moving.
     floor = 1e-6 * np.max(ceiling)
-    found = ceiling.copy()
+    lower = ceiling.copy()
     for k in range(len(knots)):
         after = min(max(np.searchsorted(s, knots[k] - knots[0]), 1), len(s) - 1)
-        found[k] = min(ceiling[k], max(min(lowest[after], lowest[after - 1]), floor))
-    return found
+        lower[k] = min(ceiling[k], max(min(lowest[after], lowest[after - 1]), floor))
+    return lower

@@ -27,7 +27,7 @@ def regressor_columns(
     """
     samples, joints = q.shape
     columns = np.zeros((joints, 10 * joints, samples))
-    turn, about, along = np.empty((3, 3)), np.empty((joints, 3)), np.empty((joints, 3))
+    to_base, about, along = np.empty((3, 3)), np.empty((joints, 3)), np.empty((joints, 3))
     for k in range(samples):
         w0 = w1 = w2 = 0.0
         d0 = d1 = d2 = 0.0  # α
@@ -43,7 +43,7 @@ def regressor_columns(
                 p0 += rotations[link, 0, 0] * x0 + rotations[link, 0, 1] * x1 + rotations[link, 0, 2] * x2
                 p1 += rotations[link, 1, 0] * x0 + rotations[link, 1, 1] * x1 + rotations[link, 1, 2] * x2
                 p2 += rotations[link, 2, 0] * x0 + rotations[link, 2, 1] * x1 + rotations[link, 2, 2] * x2
-                turn[:] = rotations[link]
+                to_base[:] = rotations[link]
             else:
                 c, s = np.cos(at), np.sin(at)
                 v = 1.0 - c
@@ -52,12 +52,12 @@ def regressor_columns(
                 r20, r21, r22 = s0 * s2 * v - s1 * s, s1 * s2 * v + s0 * s, c + s2 * s2 * v
                 for row in range(3):
                     x0, x1, x2 = rotations[link, row]
-                    turn[row, 0] = x0 * r00 + x1 * r10 + x2 * r20
-                    turn[row, 1] = x0 * r01 + x1 * r11 + x2 * r21
-                    turn[row, 2] = x0 * r02 + x1 * r12 + x2 * r22
-            t00, t01, t02 = turn[0]
-            t10, t11, t12 = turn[1]
-            t20, t21, t22 = turn[2]
+                    to_base[row, 0] = x0 * r00 + x1 * r10 + x2 * r20
+                    to_base[row, 1] = x0 * r01 + x1 * r11 + x2 * r21
+                    to_base[row, 2] = x0 * r02 + x1 * r12 + x2 * r22
+            t00, t01, t02 = to_base[0]
+            t10, t11, t12 = to_base[1]
+            t20, t21, t22 = to_base[2]
             # The acceleration of the new origin as a point of the link before: a + α × p + w × (w × p).
             reach, size = w0 * p0 + w1 * p1 + w2 * p2, w0 * w0 + w1 * w1 + w2 * w2
             x0 = a0 + d1 * p2 - d2 * p1 + reach * w0 - size * p0

@@ -25,7 +25,7 @@ def averaged(
 
     The law: at times (K,) s, ṡ and the integral of s (K,), s̈ of the cells between (K - 1,); stationary outside them.
     """
-    found = np.empty((3, len(t)))
+    means = np.empty((3, len(t)))
     last, end = len(times) - 1, times[-1]
     for part in range(2):
         cell = 0
@@ -38,12 +38,12 @@ def averaged(
             area = integral[cell] + dt * (s[cell] + dt * (0.5 * v + a * dt / 6.0)) + max(at - end, 0.0) * s[-1]
             way, rate = s[cell] + dt * (v + 0.5 * a * dt), v + a * dt
             if part == 0:
-                found[0, k], found[1, k], found[2, k] = area, way, rate
+                means[0, k], means[1, k], means[2, k] = area, way, rate
             else:
-                found[0, k] = (found[0, k] - area) / window
-                found[1, k] = (found[1, k] - way) / window / stretch
-                found[2, k] = (found[2, k] - rate) / window / (stretch * stretch)
-    return found
+                means[0, k] = (means[0, k] - area) / window
+                means[1, k] = (means[1, k] - way) / window / stretch
+                means[2, k] = (means[2, k] - rate) / window / (stretch * stretch)
+    return means
 
 
 @compiled("f8[:,:,::1](f8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], i8)")
@@ -61,7 +61,7 @@ def sampled_on(
     quaternion, whose value is made a unit.
     """
     rows, count = coefficients.shape[1], len(s)
-    found = np.empty((3, rows, count))
+    samples = np.empty((3, rows, count))
     cells, x = np.empty(count, dtype=np.int64), np.empty(count)
     cell = 0
     for k in range(count):
@@ -81,22 +81,27 @@ def sampled_on(
             bent = cubic[cell] * along
             chord = square[cell] + bent
             rate = (chord * 2.0 + bent) * along + linear[cell]
-            found[0, row, k] = (chord * along + linear[cell]) * along + constant[cell]
+            samples[0, row, k] = (chord * along + linear[cell]) * along + constant[cell]
             curved = (bent * 2.0 + chord) * (2.0 * speed[k] * speed[k])
-            found[2, row, k] = rate * acceleration[k] + curved
-            found[1, row, k] = rate * speed[k]
-    turn = found[0, joints + 3 :]
+            samples[2, row, k] = rate * acceleration[k] + curved
+            samples[1, row, k] = rate * speed[k]
+    quaternion = samples[0, joints + 3 :]
     for k in range(count):
-        size = np.sqrt(turn[0, k] * turn[0, k] + turn[1, k] * turn[1, k] + turn[2, k] * turn[2, k] + turn[3, k] ** 2)
+        size = np.sqrt(
+            quaternion[0, k] * quaternion[0, k]
+            + quaternion[1, k] * quaternion[1, k]
+            + quaternion[2, k] * quaternion[2, k]
+            + quaternion[3, k] ** 2
+        )
         for row in range(4):
-            turn[row, k] /= size
-    return found
+            quaternion[row, k] /= size
+    return samples
 
 
 @compiled("f8(f8, f8)")
-def _larger(one: float, other: float) -> float:
+def _larger(first: float, other: float) -> float:
     """Return the larger value; NaN if either is NaN."""
-    return one if one >= other or one != one else other
+    return first if first >= other or first != first else other
 
 
 @compiled("void(f8[::1], f8[::1], f8)")
@@ -113,14 +118,14 @@ def tcp_rates(found: np.ndarray, joints: int) -> np.ndarray:
     found (3, n + 7, S) as of `sampled_on`.
     """
     rates = np.empty((4, found.shape[2]))
-    turn, rate, change = found[0, joints + 3 :], found[1, joints:], found[2, joints:]
+    quaternion, rate, change = found[0, joints + 3 :], found[1, joints:], found[2, joints:]
     for k in range(found.shape[2]):
         rates[0, k] = np.sqrt(rate[0, k] * rate[0, k] + rate[1, k] * rate[1, k] + rate[2, k] * rate[2, k])
         rates[2, k] = np.sqrt(change[0, k] * change[0, k] + change[1, k] * change[1, k] + change[2, k] * change[2, k])
         turning = along = twisting = 0.0
         for row in range(4):
             turning += rate[row + 3, k] * rate[row + 3, k]
-            along += turn[row, k] * change[row + 3, k]
+            along += quaternion[row, k] * change[row + 3, k]
             twisting += change[row + 3, k] * change[row + 3, k]
         rates[1, k] = np.sqrt(4.0 * turning)
         rates[3, k] = np.sqrt(4.0 * np.maximum(twisting - along * along, 0.0))

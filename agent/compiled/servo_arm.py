@@ -14,9 +14,9 @@ from agent.compiled.compiling import compiled
 
 
 @compiled("f8(f8[:,::1], f8[:,::1], i8, i8)")
-def _turned(half: np.ndarray, turn: np.ndarray, row: int, column: int) -> float:
+def _turned(half: np.ndarray, rotation: np.ndarray, row: int, column: int) -> float:
     """An entry of half · turnᵀ."""
-    x0, x1, x2 = turn[column]
+    x0, x1, x2 = rotation[column]
     return half[row, 0] * x0 + half[row, 1] * x1 + half[row, 2] * x2
 
 
@@ -37,18 +37,18 @@ def _place(
     A screw is the angular velocity and the velocity of a point at the base's origin; bodies are about that origin.
     `room` is scratch memory (3, 3, 3).
     """
-    turn, fixed, half = room[0], room[1], room[2]
+    rotation, fixed, half = room[0], room[1], room[2]
     for row in range(3):
         for k in range(3):
-            turn[row, k] = 1.0 if row == k else 0.0
+            rotation[row, k] = 1.0 if row == k else 0.0
     o0 = o1 = o2 = 0.0
     for link in range(len(q)):
         p0, p1, p2 = origins[link]
-        o0 += turn[0, 0] * p0 + turn[0, 1] * p1 + turn[0, 2] * p2
-        o1 += turn[1, 0] * p0 + turn[1, 1] * p1 + turn[1, 2] * p2
-        o2 += turn[2, 0] * p0 + turn[2, 1] * p1 + turn[2, 2] * p2
+        o0 += rotation[0, 0] * p0 + rotation[0, 1] * p1 + rotation[0, 2] * p2
+        o1 += rotation[1, 0] * p0 + rotation[1, 1] * p1 + rotation[1, 2] * p2
+        o2 += rotation[2, 0] * p0 + rotation[2, 1] * p1 + rotation[2, 2] * p2
         for row in range(3):
-            x0, x1, x2 = turn[row]
+            x0, x1, x2 = rotation[row]
             for k in range(3):
                 fixed[row, k] = x0 * rotations[link, 0, k] + x1 * rotations[link, 1, k] + x2 * rotations[link, 2, k]
         s0, s1, s2 = axes[link]
@@ -59,7 +59,7 @@ def _place(
         if prismatic[link]:
             o0, o1, o2 = o0 + z0 * q[link], o1 + z1 * q[link], o2 + z2 * q[link]
             of[0], of[1], of[2], of[3], of[4], of[5] = 0.0, 0.0, 0.0, z0, z1, z2
-            turn[:] = fixed
+            rotation[:] = fixed
         else:
             of[0], of[1], of[2] = z0, z1, z2
             of[3], of[4], of[5] = o1 * z2 - o2 * z1, o2 * z0 - o0 * z2, o0 * z1 - o1 * z0
@@ -70,15 +70,15 @@ def _place(
             r20, r21, r22 = s0 * s2 * v - s1 * s, s1 * s2 * v + s0 * s, c + s2 * s2 * v
             for row in range(3):
                 x0, x1, x2 = fixed[row]
-                turn[row, 0] = x0 * r00 + x1 * r10 + x2 * r20
-                turn[row, 1] = x0 * r01 + x1 * r11 + x2 * r21
-                turn[row, 2] = x0 * r02 + x1 * r12 + x2 * r22
+                rotation[row, 0] = x0 * r00 + x1 * r10 + x2 * r20
+                rotation[row, 1] = x0 * r01 + x1 * r11 + x2 * r21
+                rotation[row, 2] = x0 * r02 + x1 * r12 + x2 * r22
         m, f0, f1, f2, xx, xy, yy, xz, yz, zz = inertias[link]
-        c0 = turn[0, 0] * f0 + turn[0, 1] * f1 + turn[0, 2] * f2
-        c1 = turn[1, 0] * f0 + turn[1, 1] * f1 + turn[1, 2] * f2
-        c2 = turn[2, 0] * f0 + turn[2, 1] * f1 + turn[2, 2] * f2
+        c0 = rotation[0, 0] * f0 + rotation[0, 1] * f1 + rotation[0, 2] * f2
+        c1 = rotation[1, 0] * f0 + rotation[1, 1] * f1 + rotation[1, 2] * f2
+        c2 = rotation[2, 0] * f0 + rotation[2, 1] * f1 + rotation[2, 2] * f2
         for row in range(3):
-            x0, x1, x2 = turn[row]
+            x0, x1, x2 = rotation[row]
             half[row, 0] = x0 * xx + x1 * xy + x2 * xz
             half[row, 1] = x0 * xy + x1 * yy + x2 * yz
             half[row, 2] = x0 * xz + x1 * yz + x2 * zz
@@ -87,12 +87,12 @@ def _place(
         around = o0 * (c0 + h0) + o1 * (c1 + h1) + o2 * (c2 + h2)
         body = bodies[link]
         body[0], body[1], body[2], body[3] = m, h0, h1, h2
-        body[4] = _turned(half, turn, 0, 0) + around - o0 * (c0 + h0)
-        body[5] = _turned(half, turn, 0, 1) - o0 * c1 - o1 * h0
-        body[6] = _turned(half, turn, 1, 1) + around - o1 * (c1 + h1)
-        body[7] = _turned(half, turn, 0, 2) - o0 * c2 - o2 * h0
-        body[8] = _turned(half, turn, 1, 2) - o1 * c2 - o2 * h1
-        body[9] = _turned(half, turn, 2, 2) + around - o2 * (c2 + h2)
+        body[4] = _turned(half, rotation, 0, 0) + around - o0 * (c0 + h0)
+        body[5] = _turned(half, rotation, 0, 1) - o0 * c1 - o1 * h0
+        body[6] = _turned(half, rotation, 1, 1) + around - o1 * (c1 + h1)
+        body[7] = _turned(half, rotation, 0, 2) - o0 * c2 - o2 * h0
+        body[8] = _turned(half, rotation, 1, 2) - o1 * c2 - o2 * h1
+        body[9] = _turned(half, rotation, 2, 2) + around - o2 * (c2 + h2)
 
 
 @compiled("UniTuple(f8, 6)(f8[::1], f8, f8, f8, f8, f8, f8)")
@@ -179,10 +179,10 @@ def _solve(matrix: np.ndarray, x: np.ndarray) -> None:
                 matrix[i, j] -= factor * matrix[j, k]
             x[i] -= factor * x[k]
     for k in range(n - 1, -1, -1):
-        rest = x[k]
+        remainder = x[k]
         for i in range(k + 1, n):
-            rest -= matrix[i, k] * x[i]
-        x[k] = rest / matrix[k, k]
+            remainder -= matrix[i, k] * x[i]
+        x[k] = remainder / matrix[k, k]
 
 
 @compiled("f8(f8[:], f8, f8, f8[:], f8[::1], f8)")

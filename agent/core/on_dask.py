@@ -86,10 +86,10 @@ class DaskEngine:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for one in (self._client, self._cluster):
-            if one is not None:
+        for side in (self._client, self._cluster):
+            if side is not None:
                 with contextlib.suppress(Exception):  # whatever is left of it
-                    one.close()
+                    side.close()
 
     def map(self, function: Callable[[Task], Answer], tasks: Iterable[Task]) -> Iterator[TaskDone[Answer]]:
         """Answers in the order in which they come.
@@ -97,13 +97,13 @@ class DaskEngine:
         Raises:
             AgentError: the scheduler is gone.
         """
-        left = enumerate(tasks)
+        waiting = enumerate(tasks)
         flying: dict[Any, int] = {}
         arrived = self._dask.as_completed(loop=self._client.loop)
         while True:
             with self._connected():
                 free = _AHEAD * max(1, sum(self._client.nthreads().values())) - len(flying)
-                for number, task in itertools.islice(left, max(0, free)):
+                for number, task in itertools.islice(waiting, max(0, free)):
                     future = self._client.submit(function, task, pure=False)
                     flying[future] = number
                     arrived.add(future)

@@ -122,10 +122,10 @@ class PatientStream(io.TextIOBase):
 
     def _put_out(self, text: str) -> None:
         """By the system's call: a thread that waits in Python's stream holds its lock, and the program cannot end."""
-        rest = memoryview(text.encode(self.encoding, "backslashreplace"))
-        while rest and not self._gone:
+        unwritten = memoryview(text.encode(self.encoding, "backslashreplace"))
+        while unwritten and not self._gone:
             try:
-                done = os.write(self._descriptor, rest[:_PIECE])
+                done = os.write(self._descriptor, unwritten[:_PIECE])
             except BlockingIOError:  # somebody else has told the system not to wait
                 select.select([], [self._descriptor], [], LOOK)
                 continue
@@ -133,7 +133,7 @@ class PatientStream(io.TextIOBase):
                 if error.errno in _GONE:
                     self._end()
                 return  # as on a full disk: this text is lost, the next may not be
-            rest = rest[done:]
+            unwritten = unwritten[done:]
             self._written += done
 
     def _look(self) -> None:

@@ -113,7 +113,7 @@ def stop_to_come() -> Iterator[None]:
         yield
         return
     with signals_raised(), _descriptors_kept_back(), _scheduled_first():
-        suspend, hook = {one: signal.signal(one, signal.SIG_IGN) for one in _SUSPENDING}, threading.excepthook
+        suspend, hook = {number: signal.signal(number, signal.SIG_IGN) for number in _SUSPENDING}, threading.excepthook
         threading.excepthook = _reporting(hook)
         _state.moving, _state.failure = True, None
         try:
@@ -121,8 +121,8 @@ def stop_to_come() -> Iterator[None]:
         finally:
             _state.moving, _state.failure = False, None
             threading.excepthook = hook
-            for one, handler in suspend.items():
-                signal.signal(one, handler)
+            for number, handler in suspend.items():
+                signal.signal(number, handler)
 
 
 @contextlib.contextmanager

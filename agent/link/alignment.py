@@ -77,9 +77,9 @@ class MovingSegments:
     A range starts at the last sample before the first change and ends after the last change.
     """
 
-    def __init__(self, rest: int) -> None:
+    def __init__(self, still_samples: int) -> None:
         self.found: list[tuple[int, int]] = []
-        self._rest = rest
+        self._rest = still_samples
         self._count = 0
         self._last: np.ndarray | None = None
 

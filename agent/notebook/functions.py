@@ -49,10 +49,10 @@ def read_logs(logs: LogsLike, robot: RobotLike) -> Logs:
         InputError: nothing matches, or a file that cannot be read as a log of this robot.
     """
     description = load_robot(robot)
-    found: list[Log] = []
-    for one in [logs] if isinstance(logs, (str, Path, Log)) else logs:
-        found += [one] if isinstance(one, Log) else pipeline.read_logs(_paths(one), description, quiet())
-    return Logs(found)
+    opened: list[Log] = []
+    for source in [logs] if isinstance(logs, (str, Path, Log)) else logs:
+        opened += [source] if isinstance(source, Log) else pipeline.read_logs(_paths(source), description, quiet())
+    return Logs(opened)
 
 
 def estimate(
@@ -210,10 +210,10 @@ def _paths(pattern: str | Path) -> list[Path]:
     text = str(pattern)
     if Path(text).exists() or not glob.has_magic(text):
         return [Path(text)]
-    found = sorted(Path(name) for name in glob.glob(text, recursive=True))
-    if not found:
+    matching = sorted(Path(name) for name in glob.glob(text, recursive=True))
+    if not matching:
         raise InputError(f"{text}: no file is named like that")
-    return found
+    return matching
 
 
 def _model(model: ModelLike) -> IdentifiedModel:

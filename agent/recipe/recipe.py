@@ -207,7 +207,7 @@ def _contradictions(path: Path, document: RecipeDocument, robot: RobotDescriptio
             yield ("cell", "joint_ranges", name), str(error)
     like = document.motion.via_points.like
     if like is not None and not os.path.isfile(path.parent / like):
-        programs = ", ".join(one.suffix for one in dialects())
+        programs = ", ".join(dialect.suffix for dialect in dialects())
         message = f"{path.parent / like}: no such file; a program ({programs}) or a log (.mcap)"
         yield ("motion", "via_points", "like"), message
 

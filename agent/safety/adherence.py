@@ -99,7 +99,7 @@ class Adherence:
         tool: Tool | None,
         margin: float,
         period: float,
-        rest: float = np.inf,
+        longest_rest: float = np.inf,
     ) -> None:
         from agent.robot import Dynamics
 
@@ -110,7 +110,7 @@ class Adherence:
             chains = chains[1:]
         self._path = ReferencePath.of(chains, self._dynamics, self._margin, robot.max_velocity)
         self._frozen = Frozen(robot.max_velocity, GAP)
-        self._rest, self._stands_since = rest, np.nan
+        self._longest_rest, self._stands_since = longest_rest, np.nan
         self._period = period
         self._began = np.nan
         self._last = 0.0
@@ -189,9 +189,9 @@ class Adherence:
                 f"{at} the positions stand still where the plan does not stop: the arm was halted, or what the "
                 f"controller sends is frozen; {_FAULT}"
             )
-        if self._last - self._stands_since <= self._rest or self._moved == 0.0 or self.left == 0.0:
+        if self._last - self._stands_since <= self._longest_rest or self._moved == 0.0 or self.left == 0.0:
             return None
-        return f"{at} the arm has stood for more than {self._rest:.1f} s at a stop of its program; {_FAULT}"
+        return f"{at} the arm has stood for more than {self._longest_rest:.1f} s at a stop of its program; {_FAULT}"
 
     def _judge(self, time: np.ndarray, measured: np.ndarray, given: np.ndarray | None) -> str | None:
         """As `take`, for samples without NaN."""

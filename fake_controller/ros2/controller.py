@@ -185,7 +185,7 @@ class TrajectoryController:
 
     def _of(self, goal: Goal) -> Tolerances:
         """Those of a goal: above 0 sets, 0 leaves the default, -1 switches off; what is wrong leaves all of them."""
-        found = []
+        tolerances = []
         for given, default in ((goal.path, self.defaults.path), (goal.goal, self.defaults.goal)):
             values = default.copy()
             for name, value in given.items():
@@ -193,5 +193,5 @@ class TrajectoryController:
                     return self.defaults
                 if value != 0.0:
                     values[self.joints.index(name)] = max(value, 0.0)
-            found.append(values)
-        return Tolerances(found[0], found[1], goal.goal_time or self.defaults.goal_time)
+            tolerances.append(values)
+        return Tolerances(tolerances[0], tolerances[1], goal.goal_time or self.defaults.goal_time)

@@ -51,8 +51,8 @@ def seconds(value: Any) -> float:
 def message_of(message: Any) -> TrajectoryMessage:
     """A trajectory_msgs/JointTrajectory as the controller takes it."""
     points = tuple(
-        TrajectoryPoint.of(seconds(one.time_from_start), one.positions, one.velocities, one.accelerations)
-        for one in message.points
+        TrajectoryPoint.of(seconds(point.time_from_start), point.positions, point.velocities, point.accelerations)
+        for point in message.points
     )
     return TrajectoryMessage(tuple(message.joint_names), seconds(message.header.stamp), points)
 
@@ -86,7 +86,7 @@ class Ros2Server:
         self._order = [cell.robot.joint_names.index(name) for name in names]
         self._writers = JointStateWriter(names), JointStateWriter(names[:-1])
         self._closing = threading.Event()
-        self._threads = [threading.Thread(target=turn, daemon=True) for turn in (self._live, self._spin)]
+        self._threads = [threading.Thread(target=loop, daemon=True) for loop in (self._live, self._spin)]
         for thread in self._threads:
             thread.start()
 
@@ -167,8 +167,8 @@ class Ros2Server:
             goal = Goal(
                 message_of(request.trajectory),
                 lambda *end: over.set_result(end),
-                {one.name: one.position for one in request.path_tolerance},
-                {one.name: one.position for one in request.goal_tolerance},
+                {tolerance.name: tolerance.position for tolerance in request.path_tolerance},
+                {tolerance.name: tolerance.position for tolerance in request.goal_tolerance},
                 seconds(request.goal_time_tolerance),
             )
             if not cell.accepts() or cell.controller.take_goal(goal, cell.now()):

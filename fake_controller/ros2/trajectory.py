@@ -96,7 +96,7 @@ class SampledTrajectory:
         column = [self.message.names.index(name) for name in self.joints]
         start = self.message.stamp or self.began
         points = [
-            TrajectoryPoint(start + one.time, tuple(row[column] for row in one.rows)) for one in self.message.points
+            TrajectoryPoint(start + knot.time, tuple(row[column] for row in knot.rows)) for knot in self.message.points
         ]
         if self.began < points[0].time:
             position, velocity = self.before
@@ -118,7 +118,7 @@ class SampledTrajectory:
         u = max(time - a.time, 0.0) / length
         count = min(len(a.rows), len(b.rows))
         basis = (_LINE, _CUBIC, _QUINTIC)[count - 1]
-        ends = np.array([row * length**k for one in (a, b) for k, row in enumerate(one.rows[:count])])
+        ends = np.array([row * length**k for end in (a, b) for k, row in enumerate(end.rows[:count])])
         powers = np.arange(basis.shape[1])
         value = basis @ u**powers
         slope = basis[:, 1:] @ (powers[1:] * u ** (powers[1:] - 1)) / length

@@ -147,7 +147,7 @@ def test_an_emulated_arm_that_freezes_is_stopped_in_time(lie):
 def test_a_motion_that_freezes_at_a_stop_ends_with_its_longest_rest():
     robot, start, end = FOREIGN["ur5e"]
     chains = there_and_back(robot, start, end)
-    watch = Adherence(chains, robot, None, 0.02, PERIOD, rest=1.5)
+    watch = Adherence(chains, robot, None, 0.02, PERIOD, longest_rest=1.5)
     moment = 0.5 + chains[0].duration + 0.3  # in the rest between two stretches
     took = lied_to(watch, blocks_of(chains, 0.5, seen=True), moment, Lie(speeds="zero"), robot)
     assert took is not None
@@ -169,7 +169,7 @@ def test_rests_of_the_plan_are_no_freeze(pauses, seen):
     for name, share, slower in (("ur5e", 1.0, 0.93), ("7 axes", 0.05, 1.0), ("gantry", 0.3, 1.0)):
         robot, start, end = FOREIGN[name]
         chains = there_and_back(robot, start, end, share)
-        watch = Adherence(chains, robot, None, 0.02, PERIOD, rest=3.0)
+        watch = Adherence(chains, robot, None, 0.02, PERIOD, longest_rest=3.0)
         assert not any(watch.take(block) for block in blocks_of(chains, pauses, seen, 50, slower))
 
 
@@ -177,7 +177,7 @@ def test_an_arm_that_rests_off_its_stop_by_a_servo_error_is_not_frozen():
     """A slow plan moves on from there, whereas the arm stands: by 2 mm or so, as measured."""
     robot, start, end = FOREIGN["7 axes"]
     chains = there_and_back(robot, start, end, 0.05)
-    watch = Adherence(chains, robot, None, 0.02, PERIOD, rest=3.0)
+    watch = Adherence(chains, robot, None, 0.02, PERIOD, longest_rest=3.0)
     way = end - start
     for block in blocks_of(chains[:2], 1.5, False, 50):
         part = np.minimum((block.position - start) / np.where(way, way, np.inf), 1.0 - 0.003 / np.abs(way).max())
@@ -195,7 +195,7 @@ def test_an_arm_may_wait_at_its_start_and_at_its_end():
     """For a permit, for a person who presses START, or for the controller to say that the motion is over."""
     robot, start, end = FOREIGN["ur5e"]
     chains = there_and_back(robot, start, end)[:1]
-    watch = Adherence(chains, robot, None, 0.02, PERIOD, rest=3.0)
+    watch = Adherence(chains, robot, None, 0.02, PERIOD, longest_rest=3.0)
     assert not any(watch.take(block) for block in stationary(start, 0, 15_000))
     moving = list(blocks_of(chains, 0.0, True, 50))
     later = [replace(block, sequence=block.sequence + 15_000, time=block.time + 30.0) for block in moving]

@@ -28,11 +28,11 @@ class Evidence(Score):
 
         The scales of the hypothesis stay, so this picks what to `evaluate`, whose log evidence is the score.
         """
-        found = base.shortlist  # per bank; what was added since is worked out
-        found += [self._shortlist_gains(base, bank) for bank in self.pool.banks[len(found) :]]
-        if not found:
+        parts = base.shortlist  # per bank; what was added since is worked out
+        parts += [self._shortlist_gains(base, bank) for bank in self.pool.banks[len(parts) :]]
+        if not parts:
             return np.empty(0), []
-        return np.concatenate([gain for gain, _ in found]), [value for _, values in found for value in values]
+        return np.concatenate([gain for gain, _ in parts]), [value for _, values in parts for value in values]
 
     def _shortlist_gains(self, base: Evaluated, bank: CandidateBlock) -> tuple[np.ndarray, list[np.ndarray]]:
         schur, side = self._schur(base, bank)
@@ -77,7 +77,7 @@ class Evidence(Score):
         Its log Bayes factor against nothing has to outweigh the prior with a probability of 80 %. Signs of its
         parameters as they are usual: each contributes as much torque.
         """
-        found, expected = [], self.as_expected(self.nothing)
+        smallest, expected = [], self.as_expected(self.nothing)
         for bank in self.pool.banks:
             schur, _ = self._schur(expected, bank)
             sizes = np.empty(len(bank.candidates))
@@ -89,8 +89,8 @@ class Evidence(Score):
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
                 log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
                 sizes[which] = (POWER + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
-            found += sizes.tolist()
-        return found
+            smallest += sizes.tolist()
+        return smallest
 
     def information(self, forms: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the information (m, m) of the logs on the parameters of the model and of forms, given the noise model.

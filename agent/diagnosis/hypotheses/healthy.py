@@ -81,7 +81,7 @@ class _Shown:
     def of(cls, fit: Fit, forms: Sequence[Candidate]) -> _Shown:
         evidence = Evidence(fit, forms, healthy=())
         gains, values = evidence.shortlist_gains(evidence.nothing)
-        torque = [max(evidence.pool.torque(k, found).values(), default=0.0) for k, found in enumerate(values)]
+        torque = [max(evidence.pool.torque(k, parameters).values(), default=0.0) for k, parameters in enumerate(values)]
         return cls(gains, values, np.array(torque), [evidence.pool.rms(k) for k in range(len(forms))])
 
 
@@ -95,20 +95,22 @@ def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candi
 def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
     """Each log under parameters that were fitted to the others."""
     fit = assemble(model.robot, model, logs, model.cutoff, refitted=True).fit
-    left, precision = np.empty(fit.sigma.shape), list[np.ndarray]()
+    residual, precision = np.empty(fit.sigma.shape), list[np.ndarray]()
     for number in range(len(logs)):
         rows = fit.rows_of(number)
         cells = np.unique(fit.cell[rows][fit.cell[rows] >= 0])
         folds = [fold for fold in fit.folds if fold.test[cells].any()]
         for fold in reversed(folds):  # a guard between parts of one log goes with the first
             own = np.isin(fit.cell[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (fit.cell[rows] < 0)
-            left[rows][own] = fit.remaining(fit.solve(fold.train)[1])[rows][own]
+            residual[rows][own] = fit.remaining(fit.solve(fold.train)[1])[rows][own]
         precision.append(np.linalg.inv(fit.solve(folds[0].train)[0]))
-    unseen = fit.with_residual(left / fit.sigma)  # as of a model of other logs
+    unseen = fit.with_residual(residual / fit.sigma)  # as of a model of other logs
     fit = unseen.with_chosen(precision=np.mean(precision, axis=0), shift=np.zeros(len(precision[0])))
     forms = Search(fit, _TRANSIENT).forms()
     alone = (fit.of_log(number, precision[number]) for number in range(len(logs)))
-    return forms, [_Shown.of(one, [form.of_rows(fit.rows_of(k)) for form in forms]) for k, one in enumerate(alone)]
+    return forms, [
+        _Shown.of(of_log, [form.of_rows(fit.rows_of(k)) for form in forms]) for k, of_log in enumerate(alone)
+    ]
 
 
 def _effects(
@@ -119,34 +121,34 @@ def _effects(
     The torque is the mean square over n - 2 of n logs, each explained by its best form: the variance of Student's
     predictive distribution with n degrees of freedom, as few logs say little about how large an effect can become.
     """
-    total = np.sum([one.gains for one in shown], axis=0)
+    total = np.sum([of_log.gains for of_log in shown], axis=0)
     places: dict[HypothesisKey, list[int]] = {}
     for number in np.argsort(-total).tolist():
         if not forms[number].transient:
             places.setdefault(forms[number].place, []).append(number)
-    found = {}
+    effects = {}
     for place, numbers in places.items():
-        best = [(one, max(numbers, key=lambda k: one.gains[k])) for one in shown]
-        squares = [one.torque[k] ** 2 for one, k in best if one.gains[k] > 0]
+        best = [(of_log, max(numbers, key=lambda k: of_log.gains[k])) for of_log in shown]
+        squares = [of_log.torque[k] ** 2 for of_log, k in best if of_log.gains[k] > 0]
         if not squares:
             continue
         size = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
         kinds = {tuple(sorted(forms[k].settings)): k for k in reversed(numbers)}.values()
         first = numbers[0] if total[numbers[0]] > 0 else None
-        found[place] = size, [_entry(forms[k], k, shown, size, names, k == first) for k in kinds]
-    return found
+        effects[place] = size, [_entry(forms[k], k, shown, size, names, k == first) for k in kinds]
+    return effects
 
 
 def _entry(
     form: Candidate, number: int, shown: Sequence[_Shown], size: float, names: Sequence[str], known: bool
 ) -> HealthyEffect:
     """An effect of a size over nominal, which its parameters share alike; with what all logs show if it is `known`."""
-    rms = np.sqrt(np.mean([one.rms[number] ** 2 for one in shown], axis=0))
+    rms = np.sqrt(np.mean([of_log.rms[number] ** 2 for of_log in shown], axis=0))
     some = rms > _INVISIBLE
     amount = np.where(some, size / np.sqrt(max(int(some.sum()), 1)) / np.maximum(rms, _INVISIBLE), 0.0)
     value: dict[str, tuple[float, float]] = {}
     if known and len(shown) > 1:
-        each = np.array([one.values[number] for one in shown])
+        each = np.array([of_log.values[number] for of_log in shown])
         deviation = np.sqrt(1 + 1 / len(shown)) * each.std(axis=0, ddof=1)
         value = dict(zip(form.names, zip(each.mean(axis=0).tolist(), deviation.tolist(), strict=True), strict=True))
     joints = tuple(names[j] for j in form.joints)
@@ -164,10 +166,10 @@ def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) 
     places = list(model.robot.joint_names)
     known = [e for e in model.healthy if e.effect in CATALOGUE and e.effect not in without and {*e.joints} <= {*places}]
     forms = fit.candidates([(CATALOGUE[e.effect], tuple(map(places.index, e.joints)), e.settings) for e in known])
-    found = []
+    healthy = []
     for entry, form in zip(known, forms, strict=True):
         if form.stable and set(form.names) == set(entry.amount):
             value = np.array([entry.value[name] for name in form.names]) if entry.value else None
             mean, deviation = (None, None) if value is None else value.T
-            found.append(HealthyForm(form, np.array([entry.amount[name] for name in form.names]), mean, deviation))
-    return found
+            healthy.append(HealthyForm(form, np.array([entry.amount[name] for name in form.names]), mean, deviation))
+    return healthy

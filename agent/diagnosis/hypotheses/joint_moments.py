@@ -27,9 +27,9 @@ class NoiseRoot:
         """Of products (m, m) of the columns, the first `common` of which all logs share."""
         own = np.sqrt(1 + np.diag(square)[common:] / scale)
         cross = square[:common, common:] / (scale * own)
-        left = square[:common, :common] / scale - cross @ cross.T
-        left.flat[:: common + 1] += 1 / variance
-        return cls(own, cross, np.linalg.cholesky(left))
+        inner = square[:common, :common] / scale - cross @ cross.T
+        inner.flat[:: common + 1] += 1 / variance
+        return cls(own, cross, np.linalg.cholesky(inner))
 
     @property
     def log_det(self) -> float:
@@ -79,9 +79,9 @@ def solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
 def left_energy(joint: JointMoments, mean: np.ndarray) -> float:
     """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
     own, cross, square = joint.moments
-    rest = np.append(mean, -1.0)
-    pull, background = cross @ rest, -joint.root.solved_transposed(joint.half @ rest)
-    return max(float(rest @ own @ rest + 2 * background @ pull + background @ square @ background), 0.0)
+    weights = np.append(mean, -1.0)
+    pull, background = cross @ weights, -joint.root.solved_transposed(joint.half @ weights)
+    return max(float(weights @ own @ weights + 2 * background @ pull + background @ square @ background), 0.0)
 
 
 def solved_lower(lower: np.ndarray, side: np.ndarray, transposed: bool = False) -> np.ndarray:

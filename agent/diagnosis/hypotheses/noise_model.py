@@ -81,7 +81,7 @@ class NoiseModel:
         self.log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
         self._logs = [slice(a, b) for a, b in pairwise(np.flatnonzero(np.diff(log, prepend=-1, append=-1)).tolist())]
         # what the only log of a baseline shows has no scatter, and its motion shows little of other effects
-        unknown = healthy is None or (healthy and all(one.mean is None for one in healthy))
+        unknown = healthy is None or (healthy and all(effect.mean is None for effect in healthy))
         usual = self._usual(candidates) if unknown else {}
         healthy = healthy or ()
         own_model = fit.given and fit.reference.model.method != SIMULATOR
@@ -133,7 +133,7 @@ class NoiseModel:
 
     def _usual(self, candidates: Sequence[Candidate]) -> dict[int, list[np.ndarray]]:
         """Per joint columns (S, m) over σ of effects that every arm has a little of, as large as its smallest σ."""
-        found: dict[int, list[np.ndarray]] = {}
+        usual: dict[int, list[np.ndarray]] = {}
         least = self.sigma.min(axis=0)
         for candidate in {c.place: c for c in reversed(candidates) if c.effect.usual}.values():
             for joint in candidate.blocks:
@@ -141,8 +141,8 @@ class NoiseModel:
                 size = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0))
                 some = size > 1e-9 * least[joint]
                 if some.any():
-                    found.setdefault(joint, []).append(block[:, some] * (least[joint] / size[some]))
-        return found
+                    usual.setdefault(joint, []).append(block[:, some] * (least[joint] / size[some]))
+        return usual
 
     def torque_of(self, candidate: Candidate, parameters: np.ndarray) -> float:
         """Torque over nominal, root mean square, on the joint with most, of independent parameters of such sizes."""

@@ -158,14 +158,14 @@ class CandidateMoments:
 
     def lasting_torque(self, number: int, values: np.ndarray) -> dict[int, float]:
         """Per joint the torque of an effect over nominal, root mean square: in the log with most, while it lasts."""
-        noise, found = self.noise, {}
+        noise, lasting = self.noise, {}
         for j in self.candidate(number).blocks:
             torque = self.columns(number, j) @ values
             torque = (torque * noise.sigma[:, j] / noise.nominal[j]) ** 2
             acts = torque > 0 if self.candidate(number).transient else np.ones(len(torque), dtype=bool)
             power = np.bincount(noise.log[acts], torque[acts]) / np.maximum(np.bincount(noise.log[acts]), 1)
-            found[j] = float(np.sqrt(power.max(initial=0.0)))
-        return found
+            lasting[j] = float(np.sqrt(power.max(initial=0.0)))
+        return lasting
 
     def unit_torque(self, form: Candidate) -> np.ndarray:
         """Parameters (k,) at which a form has nominal torque, with equal contributions."""
@@ -177,12 +177,12 @@ class CandidateMoments:
         candidate = self.banks[bank].candidates[k]
         return np.asarray(self.banks[bank].own[len(candidate.names)][self.banks[bank].row[k], joint])
 
-    def _product(self, one: int, other: int, joint: int) -> np.ndarray:
+    def _product(self, first: int, second: int, joint: int) -> np.ndarray:
         """(k, l) products of the columns of two candidates on a joint."""
-        if (one, other, joint) not in self._products:
-            product = self.columns(one, joint).T @ self.columns(other, joint)
-            self._products[one, other, joint] = product.astype(float) * self.noise.weight
-        return self._products[one, other, joint]
+        if (first, second, joint) not in self._products:
+            product = self.columns(first, joint).T @ self.columns(second, joint)
+            self._products[first, second, joint] = product.astype(float) * self.noise.weight
+        return self._products[first, second, joint]
 
 
 def _prior(candidate: Candidate) -> np.ndarray:

@@ -46,14 +46,14 @@ def compare(
     """
     hypotheses = posterior(evidence, found, observed)
     statements = _statements(hypotheses)
-    faults, free = max(statements, key=lambda one: round(statements[one], 6))
+    faults, free = max(statements, key=lambda names: round(statements[names], 6))
     leader = max(hypotheses, key=lambda h: _shares(h).get((faults, free), 0.0))
     plain = next(h for h in hypotheses if not h.effects and not h.free)
     size = dict(zip(leader.places, leader.torque, strict=True))
     places = sorted(faults, key=lambda place: (-size[place], place))
     causes = tuple(next(c for c in leader.effects if c.place == place) for place in places)
     equal = [_equal_by_definition(place, leader, hypotheses) for place in places]
-    classes = [_class_of(place, faults, statements, one) for place, one in zip(places, equal, strict=True)]
+    classes = [_class_of(place, faults, statements, names) for place, names in zip(places, equal, strict=True)]
     return SelectedCauses(
         fit,
         fit.with_chosen(causes) if causes else fit,
@@ -77,10 +77,10 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
         log += [observed(evidence, e) for e in found]
         alone += observed(evidence, nothing)
     priors = [_priors(evidence, e) for e in found]
-    highest = max(one + max(prior.values()) for one, prior in zip(log, priors, strict=True))
+    highest = max(log_evidence + max(prior.values()) for log_evidence, prior in zip(log, priors, strict=True))
     weights = [
-        {faults: float(np.exp(one + prior - highest)) for faults, prior in each.items()}
-        for one, each in zip(log, priors, strict=True)
+        {faults: float(np.exp(log_evidence + prior - highest)) for faults, prior in each.items()}
+        for log_evidence, each in zip(log, priors, strict=True)
     ]
     total = sum(sum(each.values()) for each in weights)
     before = max(float(nothing.left.sum()), 1e-12)
@@ -102,7 +102,7 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
 
 def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[HypothesisKey], float]:
     """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
-    found = {}
+    priors = {}
     places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
     sizes = zip(places, hypothesis.largest, strict=True)
     healthy = [
@@ -117,8 +117,8 @@ def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[Hypothe
         log += len(hypothesis.free) * np.log(LAW.rare / evidence.joints)
         log += max(len(faults) + len(hypothesis.free) - 1, 0) * np.log(LAW.rare)
         if np.isfinite(log):
-            found[faults] = float(log)
-    return found
+            priors[faults] = float(log)
+    return priors
 
 
 def _log_healthy(size: float, usual: float | None, apart: tuple[float, float] | None) -> float:
@@ -153,11 +153,11 @@ Statement = tuple[frozenset[HypothesisKey], frozenset[int]]
 def _shares(hypothesis: Hypothesis) -> dict[Statement, float]:
     """Probability of a hypothesis by statement."""
     large = {p for p, torque in zip(hypothesis.places, hypothesis.torque, strict=True) if torque >= LAW.practical}
-    found: dict[Statement, float] = {}
+    shares: dict[Statement, float] = {}
     for faults, share in hypothesis.shares.items():
         statement = faults & large, frozenset(hypothesis.free)
-        found[statement] = found.get(statement, 0.0) + share
-    return found
+        shares[statement] = shares.get(statement, 0.0) + share
+    return shares
 
 
 def _statements(hypotheses: Sequence[Hypothesis]) -> dict[Statement, float]:
@@ -174,14 +174,14 @@ def _equal_by_definition(
 ) -> tuple[HypothesisKey, ...]:
     """Hypotheses that equal a cause by definition unless the logs show otherwise, and explain about as much."""
     known = CATALOGUE[place[0]].structurally_equivalent
-    found = {
+    equal = {
         other: None
         for hypothesis in hypotheses
         if hypothesis.log_bayes_factor >= (1 - LAW.form) * leader.log_bayes_factor and place not in hypothesis.places
         for other in hypothesis.places
         if other[0] in known and near(place, other)
     }
-    return tuple(found)
+    return tuple(equal)
 
 
 def _class_of(

@@ -64,7 +64,7 @@ class Evaluated:
     @property
     def largest(self) -> tuple[float, ...]:
         """Per effect its torque on the joint where it has most, over nominal."""
-        return tuple(max(one.values(), default=0.0) for one in self.torque)
+        return tuple(max(of_effect.values(), default=0.0) for of_effect in self.torque)
 
 
 class Score:
@@ -89,10 +89,10 @@ class Score:
         self.law, self.joints, self.reference = law, len(fit.rows), fit.reference
         self.noise = noise = NoiseModel(fit, candidates, healthy, law)
         self.usual: dict[HypothesisKey, float] = {}
-        for one in healthy or ():
-            size = noise.torque_of(one.candidate, one.amount)
-            self.usual[one.candidate.place] = max(size, self.usual.get(one.candidate.place, 0.0))
-        self._baseline = {one.candidate.place: one for one in healthy or () if one.mean is not None}
+        for effect in healthy or ():
+            size = noise.torque_of(effect.candidate, effect.amount)
+            self.usual[effect.candidate.place] = max(size, self.usual.get(effect.candidate.place, 0.0))
+        self._baseline = {effect.candidate.place: effect for effect in healthy or () if effect.mean is not None}
         self.pool = CandidateMoments(noise)
         rounds = _ROUNDS + 1  # in which the scales are fitted
         self._moments = lru_cache(maxsize=rounds * self.joints)(self.pool.moments)
@@ -101,8 +101,8 @@ class Score:
         self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
         self._prior = _of_another_day(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
-        left = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
-        largest = float(np.sqrt(np.mean(left**2, axis=0)).max())
+        residual = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
+        largest = float(np.sqrt(np.mean(residual**2, axis=0)).max())
         self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
         self._nothing: Evaluated | None = None
         self.pool.add(candidates)
@@ -164,11 +164,11 @@ class Score:
             torque = [self.pool.torque(k, v) for k, v in zip(effects, values, strict=True)]
             if last:
                 break
-            form = np.array([sum(one.get(j, 0.0) ** 2 for one in torque) for j in range(self.joints)])
+            form = np.array([sum(of_effect.get(j, 0.0) ** 2 for of_effect in torque) for j in range(self.joints)])
             form = form * self.noise.unit**2
             if self._friction.size:
                 form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
-            sizes = [_nearest(self.sizes, max(one.values(), default=0.0)) for one in torque]
+            sizes = [_nearest(self.sizes, max(of_effect.values(), default=0.0)) for of_effect in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = left_energy(joints[j], mean[joints[j].at])
                 scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), _LEAST_SCALE)
@@ -210,10 +210,10 @@ class Score:
         lower = scaled_cholesky(evaluated.precision, unit)
         half = solved_lower(lower, np.diag(unit)[:, first : first + len(values)])
         own = half.T @ half
-        found = [
+        candidates = [
             (self.pool.difference(number, values, other, known.mean, j), j) for j in self.pool.candidate(number).blocks
         ]
-        torque, j = max(found)
+        torque, j = max(candidates)
         spread = self.pool.variance(number, own, j) + self.pool.variance(other, np.diag(known.deviation**2), j)
         return torque, float(np.sqrt(spread))
 
@@ -299,12 +299,12 @@ class Score:
 
     def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
-        rest, square = np.append(mean, -1.0), joint.moments[2]
+        weights, square = np.append(mean, -1.0), joint.moments[2]
         energy, common = np.diag(square), self.noise.common(j)
         usual = self.noise.variance(j, 1.0, 0.0, {}) * energy[:common].sum() + energy[common:].sum()
         usual = 1 + float(usual) / self.noise.count
-        left = max(float(rest @ joint.moments[0] @ rest) / self.noise.count - usual, 0.0)
-        return left / float(self.noise.unit[j]) ** 2
+        excess = max(float(weights @ joint.moments[0] @ weights) / self.noise.count - usual, 0.0)
+        return excess / float(self.noise.unit[j]) ** 2
 
 
 def _of_the_day(fit: Fit) -> np.ndarray:

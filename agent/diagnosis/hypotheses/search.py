@@ -80,29 +80,33 @@ class Search:
         self._keep(evidence.nothing)
         self._extend(evidence.nothing, _FIRST)
         for depth in range(1, LAW.most):
-            before = max(one.log_evidence for one in self._found.values())
+            before = max(hypothesis.log_evidence for hypothesis in self._found.values())
             for base in self._worth(depth)[: _EXTENDED[min(depth, 2) - 1]]:
                 self._progress(f"trying a further effect next to {self._text(base)}")
                 self._extend(base, _THEN)
-            deeper = [one.log_evidence for one in self._found.values() if len(one.effects) + len(one.free) > depth]
+            deeper = [
+                hypothesis.log_evidence
+                for hypothesis in self._found.values()
+                if len(hypothesis.effects) + len(hypothesis.free) > depth
+            ]
             if max(deeper, default=-np.inf) < before:
                 break
-        found = self._compared()
+        selected = self._compared()
         for _ in range(LAW.most):
-            if not self._replace(found):
+            if not self._replace(selected):
                 break
-            found = self._compared()
-        return found
+            selected = self._compared()
+        return selected
 
     def _compared(self) -> SelectedCauses:
         return compare(self.fit, self.evidence, list(self._found.values()), self._observed, self._ignored)
 
-    def _replace(self, found: SelectedCauses) -> bool:
+    def _replace(self, selected: SelectedCauses) -> bool:
         """Try other effects in place of each of several causes; False where all have been tried already.
 
         Forward selection compares a cause with others only next to those that were found before it.
         """
-        others = [found.causes[:k] + found.causes[k + 1 :] for k in range(len(found.causes))]
+        others = [selected.causes[:k] + selected.causes[k + 1 :] for k in range(len(selected.causes))]
         new = [forms for forms in others if forms and self._key(forms, ()) not in self._tried]
         for forms in new:
             self._progress(f"comparing with others next to {' and '.join(form.effect.name for form in forms)}")
@@ -137,12 +141,12 @@ class Search:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
         least, smallest = self.evidence.nothing.log_evidence, 0.5 * LAW.practical
         level = [
-            one
-            for one in self._found.values()
-            if len(one.effects) + len(one.free) == depth and one.log_evidence > least
-            if min(one.largest, default=1.0) > smallest
+            hypothesis
+            for hypothesis in self._found.values()
+            if len(hypothesis.effects) + len(hypothesis.free) == depth and hypothesis.log_evidence > least
+            if min(hypothesis.largest, default=1.0) > smallest
         ]
-        return sorted(level, key=lambda one: -one.log_evidence)
+        return sorted(level, key=lambda hypothesis: -hypothesis.log_evidence)
 
     def _extend(self, base: Evaluated, count: int) -> None:
         """Extend a hypothesis by the most promising effects, and by something else on each joint, and evaluate each."""
@@ -163,9 +167,9 @@ class Search:
         """
         evidence = self.evidence
         if base.effects and leaves_more:
-            left = self.fit.with_chosen([evidence.pool.candidate(k) for k in base.effects])
+            fit = self.fit.with_chosen([evidence.pool.candidate(k) for k in base.effects])
             driven = [(e, joints) for e, joints in self._places if e.residual_driven]
-            self._add(left, [(e, joints, s) for e, joints in driven for s in e.settings(left, joints)])
+            self._add(fit, [(e, joints, s) for e, joints in driven for s in e.settings(fit, joints)])
         gains, values = evidence.shortlist_gains(base)
         leading = self._promising(base, gains, values, _LEADERS)
         best = {place: forms[0] for place, forms in leading.items()}

@@ -101,7 +101,7 @@ class SelectedCauses:
 
     def with_rejected(self, why: Sequence[str]) -> SelectedCauses:
         """The same finding with the causes that do not explain the gap among what is rejected; `why` of every cause."""
-        new = tuple((cause.place, one) for cause, one in zip(self.causes, why, strict=True) if one)
+        new = tuple((cause.place, reason) for cause, reason in zip(self.causes, why, strict=True) if reason)
         return replace(self, rejected=(*self.rejected, *new))
 
     def with_rival(self, number: int, place: HypothesisKey) -> SelectedCauses:

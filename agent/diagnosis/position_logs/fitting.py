@@ -81,7 +81,7 @@ class OutputErrorFit:
     @cached_property
     def columns(self) -> list[np.ndarray]:
         """Per stretch (S', n, 5 n): change of its positions with each number."""
-        return [one.number_columns(self.simulator, self.numbers) for one in self.motions]
+        return [motion.number_columns(self.simulator, self.numbers) for motion in self.motions]
 
     @property
     def rmse(self) -> np.ndarray:
@@ -93,12 +93,12 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
     """(5 n + 4,) of each number what would take all of its joint's torque; of kp itself, of a delay 0.1 s, of a load
     what would take the strongest joint's at full reach."""
     lag, speed, acceleration = [], [], []
-    for one in stretches:
-        asked = one.command.between(np.append(one.time, 2 * one.time[-1] - one.time[-2]), numbers.delay)
-        qd = np.gradient(one.position, one.time, axis=0)
-        lag.append(asked - one.position)
+    for stretch in stretches:
+        asked = stretch.command.between(np.append(stretch.time, 2 * stretch.time[-1] - stretch.time[-2]), numbers.delay)
+        qd = np.gradient(stretch.position, stretch.time, axis=0)
+        lag.append(asked - stretch.position)
         speed.append(qd)
-        acceleration.append(np.gradient(qd, one.time, axis=0))
+        acceleration.append(np.gradient(qd, stretch.time, axis=0))
     torque, speeds, accelerations = (
         np.maximum(np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)), 1e-6) for part in (lag, speed, acceleration)
     )
@@ -111,7 +111,9 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
 
 def position_step(stretches: Sequence[CommandedStretch]) -> np.ndarray:
     """(n,) step to which positions are rounded [rad or m]."""
-    return np.asarray(np.max([[rounding_step(column) for column in one.position.T] for one in stretches], axis=0))
+    return np.asarray(
+        np.max([[rounding_step(column) for column in stretch.position.T] for stretch in stretches], axis=0)
+    )
 
 
 def usual_twist(motions: Sequence[FreeMotion], kp: np.ndarray) -> np.ndarray:
@@ -119,7 +121,7 @@ def usual_twist(motions: Sequence[FreeMotion], kp: np.ndarray) -> np.ndarray:
 
     Not the lag behind the recorded command: most of that is the delay, which has no error of its own.
     """
-    torque = np.std(np.concatenate([one.torque for one in motions]), axis=0)
+    torque = np.std(np.concatenate([motion.torque for motion in motions]), axis=0)
     return np.asarray(np.maximum(torque / np.maximum(kp, 1e-9), 1e-6))
 
 
@@ -150,21 +152,23 @@ def fit_output_error(
     x = np.linalg.lstsq(basis, table - np.append(file.table, none), rcond=None)[0]
     weight, residuals = 1e-2, _left(stretches, motions)
 
-    def cost_of(left: Sequence[np.ndarray], at: np.ndarray) -> float:
-        return sum(float(np.sum((one / sigma) ** 2)) for one in left) + float(np.sum((at / size) ** 2))
+    def cost_of(residuals_at: Sequence[np.ndarray], at: np.ndarray) -> float:
+        return sum(float(np.sum((residual / sigma) ** 2)) for residual in residuals_at) + float(
+            np.sum((at / size) ** 2)
+        )
 
     cost = cost_of(residuals, x)
     for number in range(_ROUNDS):
         numbers, about = ServoNumbers.of_table(table[:last].reshape(5, n)), _loaded(reference, table[last:])
         matrix, side = np.diag(1 / size**2), -x / size**2
-        for one, motion, left in zip(stretches, motions, residuals, strict=True):
-            line = one.linearised(simulator, numbers, motion, about)
+        for stretch, motion, missing in zip(stretches, motions, residuals, strict=True):
+            line = stretch.linearised(simulator, numbers, motion, about)
             columns = line.number_columns(simulator, numbers) @ basis[:last]
             if basis[last:].any():
                 columns += line.load_columns(_shape(table[last:])) @ basis[last:]
             rows = (columns / sigma[None, :, None]).reshape(-1, len(size))
             matrix += rows.T @ rows
-            side += rows.T @ (left / sigma).ravel()
+            side += rows.T @ (missing / sigma).ravel()
         drop = 0.0
         for _ in range(_TRIES):
             step = _bounded_step(matrix, side, weight, basis, table)
@@ -214,16 +218,16 @@ def with_link(model: Model, gained: np.ndarray) -> Model:
 
 def _possible(table: np.ndarray, last: int, reach: float) -> np.ndarray:
     """The numbers and the load next to these that can be: none below zero, no load beyond the arm's reach."""
-    found = table.copy()
-    found[: last + 1] = np.maximum(found[: last + 1], 0.0)
-    found[last - last // 5 : last] = np.minimum(found[last - last // 5 : last], _LONGEST_DELAY)
-    away, most = float(np.linalg.norm(found[last + 1 :])), reach * found[last]
-    found[last + 1 :] *= min(1.0, most / away) if away > 0 else 1.0
-    return found
+    possible = table.copy()
+    possible[: last + 1] = np.maximum(possible[: last + 1], 0.0)
+    possible[last - last // 5 : last] = np.minimum(possible[last - last // 5 : last], _LONGEST_DELAY)
+    away, most = float(np.linalg.norm(possible[last + 1 :])), reach * possible[last]
+    possible[last + 1 :] *= min(1.0, most / away) if away > 0 else 1.0
+    return possible
 
 
 def _left(stretches: Sequence[CommandedStretch], motions: Sequence[FreeMotion]) -> list[np.ndarray]:
-    return [missed(one, motion) for one, motion in zip(stretches, motions, strict=True)]
+    return [missed(stretch, motion) for stretch, motion in zip(stretches, motions, strict=True)]
 
 
 def missed(stretch: CommandedStretch, motion: FreeMotion) -> np.ndarray:
@@ -255,9 +259,9 @@ def _bounded_step(
 def _run(simulator: FreeSimulator, table: np.ndarray, stretches: Sequence[CommandedStretch]) -> list[FreeMotion] | None:
     numbers, load = ServoNumbers.of_table(table[:-_LOAD].reshape(len(KINDS), -1)), table[-_LOAD:]
     carrying = simulator.carrying(_shape(load) @ load) if load.any() else simulator
-    found = []
-    for one in stretches:
-        if (motion := one.run(carrying, numbers)) is None:
+    ran = []
+    for stretch in stretches:
+        if (motion := stretch.run(carrying, numbers)) is None:
             return None
-        found.append(motion)
-    return found
+        ran.append(motion)
+    return ran

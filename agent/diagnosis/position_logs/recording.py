@@ -106,11 +106,11 @@ class LinearisedMotion:
         asked = np.clip(m.command, servos.least, servos.most)
         by_delay = numbers.kp * (early - late) / 1e-3 * free
         parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, -(asked - m.q) * free, by_delay)
-        found = np.empty((len(self.stretch.time[self.stretch.judged]), n, 5 * n))
+        columns = np.empty((len(self.stretch.time[self.stretch.judged]), n, 5 * n))
         for j in range(n):
             block = np.column_stack([part[:, j] for part in parts])
-            found[:, :, j::n] = self.response.of_torque({j: block})
-        return found
+            columns[:, :, j::n] = self.response.of_torque({j: block})
+        return columns
 
     @property
     def rows(self) -> slice:
@@ -141,7 +141,7 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
     Raises:
         InputError: no set-points, set-points that are the positions themselves, or of another unit, zero or arm.
     """
-    found = []
+    stretches = []
     for index, log in enumerate(logs):
         r = _set_points(log)
         known = np.all(np.isfinite(r), axis=1)
@@ -155,14 +155,14 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
             command, begins = RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed])
             stretch = CommandedStretch(index, t, q, command, begins, int(np.searchsorted(t, t[0] + settling)))
             if len(t) - stretch.unsettled >= _FEWEST_ROWS * stretch.frames:
-                found.append(stretch)
-    if not found:
+                stretches.append(stretch)
+    if not stretches:
         raise InputError(
             f"{logs[0].path}: no stretch of {_FEWEST} samples, {_FEWEST_ROWS * LIMITS.independent:g} s of them after "
             "the servos have settled, has positions and set-points on the same stamps; record longer, and record what "
             "was commanded together with the positions"
         )
-    return tuple(found)
+    return tuple(stretches)
 
 
 def _set_points(log: Log) -> np.ndarray:
@@ -199,12 +199,12 @@ def lost_frames(stretches: Sequence[CommandedStretch], residuals: Sequence[np.nd
     command times one frame. Counted are shifts of the best lag between thirds of a stretch of at least half a frame.
     """
     count = 0
-    for one, left in zip(stretches, residuals, strict=True):
-        frame = float(np.median(np.diff(one.time)))
-        speed = np.gradient(one.position, one.time, axis=0)[one.judged]
+    for stretch, residual in zip(stretches, residuals, strict=True):
+        frame = float(np.median(np.diff(stretch.time)))
+        speed = np.gradient(stretch.position, stretch.time, axis=0)[stretch.judged]
         lags = []
-        for part in np.array_split(np.arange(len(left)), 3):
+        for part in np.array_split(np.arange(len(residual)), 3):
             energy = float(np.sum(speed[part] ** 2))
-            lags.append(float(np.sum(left[part] * speed[part])) / energy if energy > 0 else 0.0)
+            lags.append(float(np.sum(residual[part] * speed[part])) / energy if energy > 0 else 0.0)
         count += sum(abs(b - a) > 0.5 * frame for a, b in pairwise(lags))
     return count

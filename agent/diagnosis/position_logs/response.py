@@ -93,5 +93,5 @@ class LinearResponse:
         push = np.stack([(block[1:] + block[:-1]) / 2 for block in columns.values()], axis=1).astype(float, order="C")
         kept = range(len(self.time))[self.kept]
         entry = np.ascontiguousarray(b[:, :, list(columns)])
-        found = stepped(a, entry, push, kept.start, kept.step, self.damping.shape[1])
-        return np.asarray(found[: len(kept)])
+        answers = stepped(a, entry, push, kept.start, kept.step, self.damping.shape[1])
+        return np.asarray(answers[: len(kept)])

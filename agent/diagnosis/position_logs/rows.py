@@ -54,9 +54,9 @@ def assemble_positions(
     )
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     signals = []
-    for line, left, numbers in zip(found.motions, found.residuals, found.columns, strict=True):
-        columns, left = (line.stretch.averaged(x) for x in (model_columns(line, reference, numbers), left))
-        at_file = left + columns @ away
+    for line, residual, numbers in zip(found.motions, found.residuals, found.columns, strict=True):
+        columns, residual = (line.stretch.averaged(x) for x in (model_columns(line, reference, numbers), residual))
+        at_file = residual + columns @ away
         for j in range(n):
             rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
         signals.append(replace(line.signals, reference=reference, answer=_answer(line), kept=line.rows))
@@ -97,35 +97,35 @@ def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.n
     return np.concatenate([bodies, friction, kinds[3], kinds[4]], axis=2)
 
 
-def _as_given(found: OutputErrorFit) -> np.ndarray:
+def _as_given(fit: OutputErrorFit) -> np.ndarray:
     """(R, n) residual of the file as it is: its own free motion."""
     parts = []
-    for one in found.stretches:
-        motion = one.run(found.simulator, found.simulator.numbers)
-        parts.append(one.averaged(one.position[one.judged] if motion is None else missed(one, motion)))
+    for stretch in fit.stretches:
+        motion = stretch.run(fit.simulator, fit.simulator.numbers)
+        parts.append(stretch.averaged(stretch.position[stretch.judged] if motion is None else missed(stretch, motion)))
     return np.concatenate(parts)
 
 
-def _expected_error(found: OutputErrorFit) -> np.ndarray:
+def _expected_error(fit: OutputErrorFit) -> np.ndarray:
     """(n,) [rad or m] what is expected of a right file: the rounding of positions, and a share of the torque.
 
     The share is that of the joint in the middle, as with torque (`explanation.with_expected_error`).
     """
-    rounding = _rounding(found)
-    twist = usual_twist([line.motion for line in found.motions], found.numbers.kp)
-    rows = [one.averaged(left) for one, left in zip(found.stretches, found.residuals, strict=True)]
-    left = np.sqrt(np.maximum(np.mean(np.concatenate(rows) ** 2, axis=0) - rounding**2, 0.0))
-    share = float(np.clip(1.5 * np.median(left / twist), LIMITS.least_error, LIMITS.unknown_error))
+    rounding = _rounding(fit)
+    twist = usual_twist([line.motion for line in fit.motions], fit.numbers.kp)
+    rows = [stretch.averaged(residual) for stretch, residual in zip(fit.stretches, fit.residuals, strict=True)]
+    residual = np.sqrt(np.maximum(np.mean(np.concatenate(rows) ** 2, axis=0) - rounding**2, 0.0))
+    share = float(np.clip(1.5 * np.median(residual / twist), LIMITS.least_error, LIMITS.unknown_error))
     return np.hypot(rounding, share * twist)
 
 
-def _rounding(found: OutputErrorFit) -> np.ndarray:
+def _rounding(fit: OutputErrorFit) -> np.ndarray:
     """(n,) [rad or m] error of a row by rounding: it stays where a joint rests."""
-    step = np.maximum(position_step(found.stretches), 1e-300)
+    step = np.maximum(position_step(fit.stretches), 1e-300)
     parts = []
-    for one, left in zip(found.stretches, found.residuals, strict=True):
-        simulated = one.position[one.judged] - left
-        parts.append(one.averaged(step * np.round(simulated / step) - simulated))
+    for stretch, residual in zip(fit.stretches, fit.residuals, strict=True):
+        simulated = stretch.position[stretch.judged] - residual
+        parts.append(stretch.averaged(step * np.round(simulated / step) - simulated))
     return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))
 
 

@@ -87,23 +87,23 @@ def separations(
     return result
 
 
-def _pairs(found: Diagnosis) -> Iterator[tuple[_Side, _Side]]:
-    for cause in found.document.causes:
-        first = _side(found, cause.effect, cause.joints)
+def _pairs(diagnosis: Diagnosis) -> Iterator[tuple[_Side, _Side]]:
+    for cause in diagnosis.document.causes:
+        first = _side(diagnosis, cause.effect, cause.joints)
         for rival in cause.equivalent_to:
-            second = _side(found, rival.effect, rival.joints)
+            second = _side(diagnosis, rival.effect, rival.joints)
             if first is not None and second is not None:
                 yield first, second
 
 
-def _side(found: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | None:
-    robot, released = found.dataset.robot, found.released
+def _side(diagnosis: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | None:
+    robot, released = diagnosis.dataset.robot, diagnosis.released
     place = effect, tuple(robot.joint_names.index(name) for name in joints)
     text = f"{effect} on {', '.join(joints)}" if joints else effect
-    for cause, values in zip(found.selected.causes, found.selected.fit.values, strict=True):
+    for cause, values in zip(diagnosis.selected.causes, diagnosis.selected.fit.values, strict=True):
         if cause.place == place:
             return _Side(effect, text, (), cause, values)
-    for form in (form for one in found.selected.hypotheses for form in one.effects):
+    for form in (form for hypothesis in diagnosis.selected.hypotheses for form in hypothesis.effects):
         if form.place == place:
             return _Side(effect, text, (), form, None)
     numbers = CATALOGUE[effect].numbers
@@ -117,19 +117,19 @@ def _side(found: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | None:
     return _Side(effect, text, groups, None, None) if groups else None
 
 
-def _right(found: Diagnosis, first: _Side, second: _Side, information: np.ndarray) -> float:
+def _right(diagnosis: Diagnosis, first: _Side, second: _Side, information: np.ndarray) -> float:
     """Probability that the right one of a pair leads by as much as a rival may not."""
-    assert found.released is not None
-    p, size = len(found.dataset.held), len(information)
+    assert diagnosis.released is not None
+    p, size = len(diagnosis.dataset.held), len(information)
     place = {side: len(side.form.names) if side.form is not None else 0 for side in (first, second)}
     true, columns, prior = np.zeros(size), [], []
     if first.form is None:
         span = np.hstack([group.directions for group in first.groups])
-        true[:p] = span @ np.linalg.lstsq(span, found.released.moved.fit.change, rcond=1e-9)[0]
+        true[:p] = span @ np.linalg.lstsq(span, diagnosis.released.moved.fit.change, rcond=1e-9)[0]
     elif first.values is not None:
         true[p : p + place[first]] = first.values
     own = {(group.kind, group.joint) for group in first.groups}
-    drives = [group for group in groups_of(found.released.given) if group.kind != "link inertia"]
+    drives = [group for group in groups_of(diagnosis.released.given) if group.kind != "link inertia"]
     for group in {(g.kind, g.joint): g for g in (*drives, *second.groups)}.values():
         if (group.kind, group.joint) not in own:
             columns.append(np.vstack([group.directions, np.zeros((size - p, group.directions.shape[1]))]))
@@ -146,42 +146,44 @@ def _right(found: Diagnosis, first: _Side, second: _Side, information: np.ndarra
     return float(ndtr((gain + np.log(LAW.rare)) / np.sqrt(2 * gain)))
 
 
-def _of_logs(found: Diagnosis, forms: Sequence[Candidate]) -> np.ndarray:
+def _of_logs(diagnosis: Diagnosis, forms: Sequence[Candidate]) -> np.ndarray:
     """Information of the logs on the model's parameters and the forms'."""
-    rows = found.dataset.fit.rows
+    rows = diagnosis.dataset.fit.rows
     blocks = [
         np.hstack([part[:, :-1], *(form.blocks.get(j, np.zeros((len(part), len(form.names)))) for form in forms)])
         for j, part in enumerate(rows)
     ]
-    return np.asarray(sum(block.T @ block for block in blocks) / (found.dataset.rate * LIMITS.independent))
+    return np.asarray(sum(block.T @ block for block in blocks) / (diagnosis.dataset.rate * LIMITS.independent))
 
 
-def _of_motion(found: Diagnosis, line: LinearisedMotion, numbers: np.ndarray, forms: Sequence[Candidate]) -> np.ndarray:
+def _of_motion(
+    diagnosis: Diagnosis, line: LinearisedMotion, numbers: np.ndarray, forms: Sequence[Candidate]
+) -> np.ndarray:
     """The same of a further motion."""
-    columns = [model_columns(line, found.dataset.fit.reference, numbers)]
+    columns = [model_columns(line, diagnosis.dataset.fit.reference, numbers)]
     for form in forms:
         form.effect.prepare([line.signals], [(form.joints, form.settings)])
         torque = form.effect.columns(line.signals, form.joints, form.settings)
         columns.append(line.response.of_torque(torque))
-    rows = np.concatenate(columns, axis=2) / found.dataset.fit.sigma.min(axis=0)[:, None]
+    rows = np.concatenate(columns, axis=2) / diagnosis.dataset.fit.sigma.min(axis=0)[:, None]
     rate = 1 / float(np.median(np.diff(line.stretch.time)))
     flat = rows.reshape(-1, rows.shape[2])
     return np.asarray(flat.T @ flat / max(rate * LIMITS.independent, 1.0))
 
 
 def _line(
-    found: Diagnosis, simulator: Simulator, time: np.ndarray, set_points: np.ndarray
+    diagnosis: Diagnosis, simulator: Simulator, time: np.ndarray, set_points: np.ndarray
 ) -> tuple[LinearisedMotion, np.ndarray]:
     """The simulated motion of the corrected numbers under set-points, linearised, and its columns of these numbers."""
-    assert found.released is not None
+    assert diagnosis.released is not None
     kp, damping, armature, friction, delay = servo_numbers(
-        found.dataset, found.released.groups, found.released.moved.fit.change
+        diagnosis.dataset, diagnosis.released.groups, diagnosis.released.moved.fit.change
     )
     numbers = ServoNumbers(*(np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay)))
     free, begins = FreeSimulator(simulator.arm), np.append(set_points[0], np.zeros(set_points.shape[1]))
     command = RecordedCommand(time, set_points, True)
-    stretch = CommandedStretch(len(found.dataset.logs), time, set_points, command, begins)
+    stretch = CommandedStretch(len(diagnosis.dataset.logs), time, set_points, command, begins)
     motion = stretch.run(free, numbers)
     assert motion is not None
-    line = stretch.linearised(free, numbers, motion, found.dataset.fit.reference)
+    line = stretch.linearised(free, numbers, motion, diagnosis.dataset.fit.reference)
     return line, line.number_columns(free, numbers)

@@ -83,12 +83,12 @@ def search_positions(
         )
     free, reference = FreeSimulator(simulator.arm), NominalModel(simulator.model)
     progress("running the simulator under the recorded command")
-    found, how, later = _fitted(free, reference, logs, progress, known_kp)
-    found = _loaded(found, reference, progress, known_kp)
-    dataset = assemble_positions(found, simulator.arm, simulator.model, logs)
+    fit, how, later = _fitted(free, reference, logs, progress, known_kp)
+    fit = _loaded(fit, reference, progress, known_kp)
+    dataset = assemble_positions(fit, simulator.arm, simulator.model, logs)
     if dataset.servos is not None:
         dataset = replace(dataset, servos=replace(dataset.servos, kp_known=known_kp, later=later))
-    said = [*_about(found, how, later), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
+    said = [*_about(fit, how, later), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
     return PositionExplanation(explained(dataset, without, progress), tuple(said))
 
 
@@ -129,32 +129,32 @@ def _fitted(
 
 
 def _loaded(
-    found: OutputErrorFit, reference: NominalModel, progress: Callable[[str], None], known_kp: bool
+    fit: OutputErrorFit, reference: NominalModel, progress: Callable[[str], None], known_kp: bool
 ) -> OutputErrorFit:
     """The fit with a load at the last link, where that does better than chance.
 
     Gains, friction and rotors of all joints together imitate a load, and what follows is linear about the fit.
     """
-    stretches, file = found.stretches, found.simulator.numbers
-    scale, kept = usual_scale(reference, found.numbers, stretches), ("kp",) if known_kp else ()
+    stretches, file = fit.stretches, fit.simulator.numbers
+    scale, kept = usual_scale(reference, fit.numbers, stretches), ("kp",) if known_kp else ()
     parameters = Parameters.create(scale, fixed=kept, load=True)
-    start = replace(file, delay=found.numbers.delay)
-    other = fit_output_error(found.simulator, reference, stretches, file, start, parameters, progress, _FINE)
-    return other if _gain(found, other) > _CHANCE_OF_LOAD else found
+    start = replace(file, delay=fit.numbers.delay)
+    other = fit_output_error(fit.simulator, reference, stretches, file, start, parameters, progress, _FINE)
+    return other if _gain(fit, other) > _CHANCE_OF_LOAD else fit
 
 
-def _gain(found: OutputErrorFit, other: OutputErrorFit) -> float:
+def _gain(fit: OutputErrorFit, other: OutputErrorFit) -> float:
     """Log-likelihood that another fit gains, where the error of each joint is unknown."""
-    lasting = sum(float(one.time[-1] - one.time[0]) for one in found.stretches)
-    return lasting / LIMITS.independent * float(np.sum(np.log(found.rmse) - np.log(other.rmse)))
+    lasting = sum(float(stretch.time[-1] - stretch.time[0]) for stretch in fit.stretches)
+    return lasting / LIMITS.independent * float(np.sum(np.log(fit.rmse) - np.log(other.rmse)))
 
 
 def _frame(stretches: Sequence[CommandedStretch]) -> float:
-    return float(np.median(np.concatenate([np.diff(one.time) for one in stretches])))
+    return float(np.median(np.concatenate([np.diff(stretch.time) for stretch in stretches])))
 
 
-def _about(found: OutputErrorFit, how: str, later: float) -> list[str]:
-    name = found.simulator.arm.path.name
+def _about(fit: OutputErrorFit, how: str, later: float) -> list[str]:
+    name = fit.simulator.arm.path.name
     said = [
         f"no torque was measured: {name} runs under the recorded command, and its motion is compared with the measured "
         "one. kv and damping of a joint are one number there"
@@ -168,7 +168,7 @@ def _about(found: OutputErrorFit, how: str, later: float) -> list[str]:
                 f"was smooth, the delay is {1e3 * later:.3g} ms more"
             )
         said.append(text)
-    if lost := lost_frames(found.stretches, found.residuals):
+    if lost := lost_frames(fit.stretches, fit.residuals):
         said.append(
             f"the lag behind the command jumps by about a frame at {lost} places: frames were lost there, or stamps "
             "are made from frame numbers; record real stamps"

@@ -146,7 +146,7 @@ def _columns(motions: _Motions, wanted: Sequence[Wanted]) -> list[dict[int, np.n
             _answered(signals, over, wanted, parts)
             continue
         ready = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
-        for some in _batches(signals, [(k, wanted[k]) for k, found in enumerate(ready) if found is None]):
+        for some in _batches(signals, [(k, wanted[k]) for k, of_motion in enumerate(ready) if of_motion is None]):
             filtered = signals.low_pass(np.concatenate([block.T for *_, block in some]).T)
             ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
             for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
@@ -154,7 +154,7 @@ def _columns(motions: _Motions, wanted: Sequence[Wanted]) -> list[dict[int, np.n
         for number, blocks in enumerate(ready):
             for joint, block in (blocks or {}).items():
                 parts[number].setdefault(joint, []).append(block / over[joint])
-    return [{joint: np.concatenate(block) for joint, block in found.items()} for found in parts]
+    return [{joint: np.concatenate(block) for joint, block in of_motion.items()} for of_motion in parts]
 
 
 def _answered(
@@ -166,11 +166,11 @@ def _answered(
     """Add what positions show of each candidate to its parts: a torque on one joint moves its neighbours too."""
     assert signals.answer is not None
     columns = [effect.columns(signals, joints, settings) for effect, joints, settings in wanted]
-    widths = [next(iter(one.values())).shape[1] for one in columns]
+    widths = [next(iter(of_form.values())).shape[1] for of_form in columns]
     ends = np.cumsum([0, *widths])
     together: dict[int, np.ndarray] = {}
-    for one, first, last in zip(columns, ends[:-1], ends[1:], strict=True):
-        for joint, block in one.items():
+    for of_form, first, last in zip(columns, ends[:-1], ends[1:], strict=True):
+        for joint, block in of_form.items():
             into = together.setdefault(joint, np.zeros((len(signals.time), int(ends[-1]))))
             into[:, first:last] = block
     for joint, moved in signals.answer(together).items():

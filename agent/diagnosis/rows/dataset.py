@@ -146,8 +146,8 @@ def assemble(
         per_joint = observation.joint_columns(segment, model.terms, carrier.model.base_values)
         index = [places for places, _ in per_joint]
         for joint, (places, columns) in enumerate(per_joint):
-            left = segment.torque[:, joint] - columns @ carrier.model.values[places] - extra[:, joint]
-            rows[joint].append(np.column_stack([columns, left]))
+            unexplained = segment.torque[:, joint] - columns @ carrier.model.values[places] - extra[:, joint]
+            rows[joint].append(np.column_stack([columns, unexplained]))
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     sigma = noise_level(reference if friction is None else NominalModel(friction), background, signals)
     joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
@@ -214,14 +214,14 @@ def noise_level(
         others: motions of the same arm, as for `standing`.
     """
     still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
-    found = standing(signals, others)
-    rest = np.concatenate([still[s.kept] for s, still in zip(signals, found, strict=True)])
+    standstill = standing(signals, others)
+    resting = np.concatenate([still[s.kept] for s, still in zip(signals, standstill, strict=True)])
     rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
     reach = int(0.5 * LIMITS.independent * rate)
-    near = rest.copy()
+    near = resting.copy()
     for shift in range(1, reach + 1):
-        near[shift:] |= rest[:-shift]
-        near[:-shift] |= rest[shift:]
+        near[shift:] |= resting[:-shift]
+        near[:-shift] |= resting[shift:]
     return np.where(near, still, moving)
 
 
@@ -254,23 +254,23 @@ def precision_of(covariance: np.ndarray) -> np.ndarray:
 
 def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | None) -> IdentifiedModel:
     """A model of bodies and direction-independent friction, fitted to the logs: the remainder is the gap."""
-    found = estimate(robot, logs, EstimationSettings.create(cutoff=cutoff))
-    count = len(found.independent)
-    alike = [k for k, term in enumerate(found.terms) if term.form not in ("offset", "viscous_asymmetry")]
+    model = estimate(robot, logs, EstimationSettings.create(cutoff=cutoff))
+    count = len(model.independent)
+    alike = [k for k, term in enumerate(model.terms) if term.form not in ("offset", "viscous_asymmetry")]
     kept = np.array([*range(count), *(count + k for k in alike)])
     return replace(
-        found,
-        terms=tuple(found.terms[k] for k in alike),
-        values=found.values[kept],
-        covariance=found.covariance[np.ix_(kept, kept)],
-        prior=None if found.prior is None else found.prior.part(kept),
+        model,
+        terms=tuple(model.terms[k] for k in alike),
+        values=model.values[kept],
+        covariance=model.covariance[np.ix_(kept, kept)],
+        prior=None if model.prior is None else model.prior.part(kept),
         effects=(),
     )
 
 
 def segments_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:
     """(S',) segment of `lasting` seconds that a row lies in, counted over all logs, the same in every cycle of one."""
-    found = np.zeros(len(time), dtype=int)
+    segment_of = np.zeros(len(time), dtype=int)
     for number, entry in enumerate(logs):
         here = log == number
         starts = np.asarray(entry.cycle_starts, dtype=float)
@@ -278,5 +278,5 @@ def segments_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting:
         if len(starts) > 1:
             since = since - starts[np.maximum(np.searchsorted(starts, since, side="right") - 1, 0)]
         segment = np.maximum(since // lasting, -1).astype(int) + 1
-        found[here] = segment + (found.max() + 1 if number else 0)
-    return np.unique(found, return_inverse=True)[1]
+        segment_of[here] = segment + (segment_of.max() + 1 if number else 0)
+    return np.unique(segment_of, return_inverse=True)[1]

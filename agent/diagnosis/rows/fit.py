@@ -111,14 +111,14 @@ class Fit:
 
     def with_residual(self, left: np.ndarray) -> Fit:
         """The same motions without effects, and with (S', n) over `sigma` left of the torque; candidates are kept."""
-        rows = [np.column_stack([rows[:, :-1], one]) for rows, one in zip(self.rows, left.T, strict=True)]
+        rows = [np.column_stack([rows[:, :-1], residual]) for rows, residual in zip(self.rows, left.T, strict=True)]
         return self.with_chosen(rows=rows, _moments=self._moments.with_residual(rows))
 
     def seen_from(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
         loads = [signals.reference.payload for signals in self.signals]
         seen = [reference if load is None else NominalModel(reference.model, load) for load in loads]
-        signals = [replace(one, reference=new) for one, new in zip(self.signals, seen, strict=True)]
+        signals = [replace(of_motion, reference=new) for of_motion, new in zip(self.signals, seen, strict=True)]
         return self.with_chosen(reference=reference, signals=signals, _made={})
 
     def rows_of(self, number: int) -> slice:
@@ -131,7 +131,7 @@ class Fit:
         """One log alone, without effects, and with another prior precision (p, p) of the model's parameters."""
         here, nothing = self.rows_of(number), np.zeros(len(self.precision))
         rows, sigma, block = [rows[here] for rows in self.rows], self.sigma[here], self.block[here]
-        signals = [one for one in self.signals if one.log_index == number]
+        signals = [of_motion for of_motion in self.signals if of_motion.log_index == number]
         cell = np.zeros(len(sigma), dtype=int)
         return Fit(self.reference, signals, rows, self.index, sigma, precision, nothing, cell, block, [], [])
 
@@ -176,14 +176,14 @@ class Fit:
         """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
         base = len(self.precision)
         ends = base + np.cumsum([0, *(len(c.names) for c in self.chosen)])
-        left = np.empty((len(self.cell), len(self.rows)))
+        residual = np.empty((len(self.cell), len(self.rows)))
         for joint, (rows, index) in enumerate(zip(self.rows, self.index, strict=True)):
             column = rows[:, -1] - rows[:, :-1] @ parameters[index]
             for candidate, (a, b) in zip(self.chosen, pairwise(ends), strict=True):
                 if joint in candidate.blocks:
                     column = column - candidate.blocks[joint] @ parameters[a:b]
-            left[:, joint] = column * self.sigma[:, joint]
-        return left
+            residual[:, joint] = column * self.sigma[:, joint]
+        return residual
 
     def solve(self, train: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Inverse of H and the parameters for training cells."""

@@ -85,8 +85,8 @@ class Explanation:
     @cached_property
     def steps(self) -> tuple[WaterfallStep, ...]:
         """What each released number and each cause closes of that gap."""
-        found = self.of_file or self.selected.causes
-        return waterfall(self.released, self.selected, self.as_given) if found else ()
+        explains = self.of_file or self.selected.causes
+        return waterfall(self.released, self.selected, self.as_given) if explains else ()
 
     def stands(self, best: float, enough: float) -> bool:
         """Whether its causes hold against an explanation that moves more numbers and leaves `best`.
@@ -170,18 +170,18 @@ def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str]
     search = partial(_search_with, model, without, progress, unit)
     as_is, drives, everything = release(dataset, kinds=()), release(dataset, links=False), release(dataset)
     enough = LIMITS.least_share * float(np.mean(held_out_gap(as_is.moved, as_is.moved.fit, unit).before ** 2))
-    found = [search(as_is)]
+    searches = [search(as_is)]
     if len(as_is.groups) < len(drives.groups) < len(everything.groups):
-        found.append(search(drives))
+        searches.append(search(drives))
     if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).selected.causes)
-        found.append(min(search(others), search(everything), key=lambda entry: entry.left))
-    best = min(entry.left for entry in found)
+        searches.append(min(search(others), search(everything), key=lambda entry: entry.left))
+    best = min(entry.left for entry in searches)
     single = [
-        k for k, entry in enumerate(found[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
+        k for k, entry in enumerate(searches[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
     ]
-    chosen = next((found[k] for k in single if found[k].stands(best, enough)), found[-1])
+    chosen = next((searches[k] for k in single if searches[k].stands(best, enough)), searches[-1])
     for number in range(len(chosen.selected.causes)):
         if numbers_instead(chosen, number, unit) is not None:
             chosen = replace(chosen, selected=chosen.selected.with_rival(number, (_LINKS, ())))
@@ -214,10 +214,14 @@ def with_numbers(verdict: Verdict, found: Explanation, numbers: Sequence[Cause])
     """
     if not found.selected.causes or not verdict.causes:
         return verdict
-    figures = {(one.effect, one.joints): one for one in causes_of(found.dataset, found.selected, found.as_given)}
+    figures = {
+        (entry.effect, entry.joints): entry for entry in causes_of(found.dataset, found.selected, found.as_given)
+    }
     effects = [
-        replace(one, closure=figures[one.effect, one.joints].closure) if (one.effect, one.joints) in figures else one
-        for one in verdict.causes
+        replace(entry, closure=figures[entry.effect, entry.joints].closure)
+        if (entry.effect, entry.joints) in figures
+        else entry
+        for entry in verdict.causes
     ]
     causes = tuple(sorted([*effects, *filter(has_size, numbers)], key=lambda cause: -(cause.closure or 0.0)))
     return Verdict("ambiguous" if causes[0].equivalent_to else "explained", causes, verdict.closure)
@@ -257,7 +261,7 @@ def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
 
 def _expected(dataset: Dataset, residual: np.ndarray) -> float:
     """Remaining share of torque on a usual joint, of errors (S', n) [N·m]; the same is expected of other joints."""
-    left = np.sqrt(np.nanmean(residual**2, axis=0))
+    error = np.sqrt(np.nanmean(residual**2, axis=0))
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
-    relative = left / np.maximum(np.std(torque, axis=0), 1e-9)
+    relative = error / np.maximum(np.std(torque, axis=0), 1e-9)
     return float(np.clip(_OF_THE_MIDDLE * np.median(relative), LIMITS.least_error, LIMITS.unknown_error))

@@ -110,13 +110,13 @@ def release(
     return _moved(dataset, chosen)
 
 
-def _needed(dataset: Dataset, pool: Sequence[Group], beside: Sequence[Candidate]) -> list[Group]:
+def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]) -> list[Group]:
     """Groups of which none can go back to the file's numbers: of all, the one that loses least goes, again and again.
 
     Positions are linear about numbers that were all fitted, so that is where to start from. Last, a joint's friction
     and rotor go if its servo's gain alone does as well: they show as ratios to it (backward elimination).
     """
-    fit = dataset.fit.with_chosen(beside)
+    fit = dataset.fit.with_chosen(causes)
     least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.held)
     parts = [(fold.train, fit.gram[fold.test].sum(axis=0)) for fold in fit.folds]
     known = [(fit.gram[train].sum(axis=0) / fit.repeat, test) for train, test in parts]
@@ -128,14 +128,14 @@ def _needed(dataset: Dataset, pool: Sequence[Group], beside: Sequence[Candidate]
         for train, test in known:
             matrix = train[:-1, :-1] + prior
             unit = 1 / np.sqrt(np.diag(matrix))
-            found = unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * train[:-1, -1])
-            extended = np.append(found, -1.0)
+            solution = unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * train[:-1, -1])
+            extended = np.append(solution, -1.0)
             total += float(extended @ test @ extended)
         return total + least * len(groups)
 
     chosen, best = list(pool), error(pool)
     while True:
-        tried = [[g for g in chosen if g is not one] for one in reversed(chosen) if one.kind != DELAY]
+        tried = [[g for g in chosen if g is not dropped] for dropped in reversed(chosen) if dropped.kind != DELAY]
         errors = [error(groups) for groups in tried]
         if not errors or min(errors) > best:
             break
@@ -155,12 +155,12 @@ def release_all(dataset: Dataset) -> ReleasedSimulator:
 
 def _moved(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
     fit = released_fit(dataset, groups) if groups else dataset.fit
-    left = fit.out_of_fold()
-    residual = np.where(np.isnan(left), dataset.residual, left)
-    found = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(groups))
+    unexplained = fit.out_of_fold()
+    residual = np.where(np.isnan(unexplained), dataset.residual, unexplained)
+    released = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(groups))
     if not groups or dataset.servos is not None:  # positions are linear about numbers that were fitted already
-        return found
-    return replace(found, moved=replace(found.moved, fit=fit.seen_from(NominalModel(found.model))))
+        return released
+    return replace(released, moved=replace(released.moved, fit=fit.seen_from(NominalModel(released.model))))
 
 
 def groups_of(dataset: Dataset) -> list[Group]:
@@ -190,14 +190,14 @@ def groups_of(dataset: Dataset) -> list[Group]:
             level = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
             columns[base + k, column] = level
         friction.append(Group("friction", joint, columns, columns[[base + k for k in own], range(len(own))]))
-        for kind, place, found in (
+        for kind, place, groups in (
             ("rotor inertia", slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
             ("link inertia", layout.link(joint), links),
         ):
             directions = np.zeros((size, place.stop - place.start))
             directions[:base] = model.projection[:, place] * scale[place]
             if np.any(np.abs(directions) > 1e-12):
-                found.append(Group(kind, joint, directions, scale[place]))
+                groups.append(Group(kind, joint, directions, scale[place]))
     return [*friction, *_of_servos(dataset), *rotors, *reversed(links)]
 
 
@@ -291,16 +291,16 @@ def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
     return np.bincount(block, np.nansum(rows**2, axis=1))
 
 
-def _load(found: ReleasedSimulator) -> dict[str, float]:
+def _load(released: ReleasedSimulator) -> dict[str, float]:
     """What the last link gained, as parameters of a load, where its mass gained more than its prior deviation."""
-    last = found.given.robot.load_link
-    own = [group for group in found.groups if group.kind == "link inertia" and group.joint == last]
+    last = released.given.robot.load_link
+    own = [group for group in released.groups if group.kind == "link inertia" and group.joint == last]
     if not own:
         return {}
-    released = np.hstack([group.directions for group in found.groups])
-    start = next(k for k, column in enumerate(released.T) if np.array_equal(column, own[0].directions[:, 0]))
-    prior_std = found.given.fit.reference.prior_std[ParameterLayout.of(found.given.robot).link(last)]
-    gained = np.linalg.lstsq(released, found.moved.fit.change, rcond=1e-9)[0][start : start + 10] * prior_std
+    directions = np.hstack([group.directions for group in released.groups])
+    start = next(k for k, column in enumerate(directions.T) if np.array_equal(column, own[0].directions[:, 0]))
+    prior_std = released.given.fit.reference.prior_std[ParameterLayout.of(released.given.robot).link(last)]
+    gained = np.linalg.lstsq(directions, released.moved.fit.change, rcond=1e-9)[0][start : start + 10] * prior_std
     names = ("mass", *(f"moment_{k}" for k in "xyz"), *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
     return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}
 
@@ -319,11 +319,11 @@ def doubtful_gains(dataset: Dataset) -> tuple[int, ...]:
     return tuple(np.flatnonzero(deviation > _GAIN_KNOWN * servos.kp).tolist())
 
 
-def _on_joint(found: ReleasedSimulator, group: Group, beside: Sequence[Candidate], gap: HeldOutGap) -> float | None:
+def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candidate], gap: HeldOutGap) -> float | None:
     """What a group closes of its own joint's error that all others leave; None where torque is judged."""
-    if found.given.servos is None or group.joint < 0:
+    if released.given.servos is None or group.joint < 0:
         return None
-    others = released_fit(found.given, [g for g in found.groups if g is not group]).with_chosen(beside)
+    others = released_fit(released.given, [g for g in released.groups if g is not group]).with_chosen(causes)
     return gap.closure_on((group.joint,), others.out_of_fold(others.transient))
 
 
@@ -345,7 +345,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
     like_load = (EffectPlace(called["load"], ()),) if several else ()
 
     def closes(*groups: Group) -> float | None:
-        others = [group for group in found.groups if not any(group is one for one in groups)]
+        others = [group for group in found.groups if not any(group is kept for kept in groups)]
         fit = released_fit(found.given, others).with_chosen(selected.causes)
         part = gap.closure_without(fit.out_of_fold(fit.transient))
         # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes

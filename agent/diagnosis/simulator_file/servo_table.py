@@ -60,11 +60,11 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     return {"servo": table, "scale_from": scale}
 
 
-def _intervals(found: Explanation, form: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
+def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
     """(5, n) value, low and high of a `form` of the numbers (5, n), linear about those with all drives free."""
-    dataset, fit = found.dataset, found.selected.fit
+    dataset, fit = explanation.dataset, explanation.selected.fit
     assert dataset.servos is not None
-    values = servo_numbers(dataset, found.released.groups, fit.fitted()[0])
+    values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0])
     drives = drive_groups(dataset)
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     free = servo_numbers(dataset, drives, wide.fitted()[0])
@@ -118,15 +118,15 @@ def _over_gain(numbers: np.ndarray) -> np.ndarray:
 
 def _whole_torque(dataset: Dataset) -> np.ndarray:
     """(5, n) of each number what would take all of its joint's torque; of a delay nothing."""
-    found = np.zeros((len(SERVO_NUMBERS), dataset.robot.dof))
+    whole = np.zeros((len(SERVO_NUMBERS), dataset.robot.dof))
     for group in drive_groups(dataset):
         if group.kind == "friction":
-            found[3, group.joint], found[1, group.joint] = group.scale
+            whole[3, group.joint], whole[1, group.joint] = group.scale
         elif group.kind == GAIN:
-            found[0, group.joint] = group.scale[0]
+            whole[0, group.joint] = group.scale[0]
         elif group.kind == "rotor inertia":
-            found[2, group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
-    return found
+            whole[2, group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
+    return whole
 
 
 def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:

@@ -122,7 +122,7 @@ def next_set_points(
     limits, share = (plan := plan_set_points(servo_arm(path), _RATE)).limits, plan.share
     tried = {EXCITATIONS: "all of them", **{(kind,) * len(EXCITATIONS): kind for kind in EXCITATIONS}}
     motions = {name: excitation(limits, float(_FPS), share, kinds)[0] for kinds, name in tried.items()}
-    told = separations(found, simulator, {name: (one.time, one.set_points) for name, one in motions.items()})
+    told = separations(found, simulator, {name: (ran.time, ran.set_points) for name, ran in motions.items()})
     if not told:
         console.warn(f"no effect or number is open, so nothing is written to {folder}")
         return None
@@ -139,7 +139,7 @@ def next_set_points(
         "motion": f"{' and '.join(_TEXTS[kind] for kind in dict.fromkeys(best))}, {len(files.plan.motions)} times "
         f"{motion.time[-1]:.0f} s",
         "program": str(folder),
-        "duration_s": float(sum(one.time[-1] for one in files.plan.motions)),
+        "duration_s": float(sum(planned.time[-1] for planned in files.plan.motions)),
         "probability": [
             {
                 "pair": [pair.cause, pair.rival],

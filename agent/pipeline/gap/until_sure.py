@@ -108,7 +108,7 @@ def until_sure(
     return rounds
 
 
-def _end(rounds: Rounds, left: float, console: Console) -> str:
+def _end(rounds: Rounds, remaining: float, console: Console) -> str:
     """Note what the last round found; returns why no further one follows, if so, with `left` [s] of the budget."""
     result = rounds.last.result
     verdict = result["verdict"]
@@ -120,9 +120,9 @@ def _end(rounds: Rounds, left: float, console: Console) -> str:
         absorbed = verdict == "no_gap" and not rounds.last.diagnosis.dataset.given
         beyond = ". A model fitted to these logs can hide a gap: name an earlier model with --model"
         return f"settled: {verdict}{beyond if absorbed else ''}"
-    if left < SHORTEST:
+    if remaining < SHORTEST:
         return (
-            f"the motion budget is used up: {max(left, 0.0):.0f} s are left, and a motion takes "
+            f"the motion budget is used up: {max(remaining, 0.0):.0f} s are left, and a motion takes "
             f"{SHORTEST:g} to {LONGEST:g} s"
         )
     return ""
