@@ -33,6 +33,7 @@ from .phrasing import (
     next_text as next_text,
     place as place,
     summary as summary,
+    verdict_name as verdict_name,
     verdict_text as verdict_text,
 )
 from .plots import (

@@ -87,10 +87,20 @@ def verdict_text(result: Mapping[str, Any]) -> str:
     return _UNKNOWN
 
 
+def verdict_name(result: Mapping[str, Any]) -> str:
+    """The verdict in words, with the joints on which something else remains."""
+    return f"{result['verdict'].replace('_', ' ')}{_exception(result)}"
+
+
+def _exception(result: Mapping[str, Any]) -> str:
+    """What an explanation leaves; empty where that is what a healthy arm leaves."""
+    joints = [entry["joint"] for entry in result.get("remainder", ())] if result["verdict"] == "explained" else []
+    return f", but for what is left on {_listed(joints)}" if joints else ""
+
+
 def in_short(result: Mapping[str, Any]) -> str:
     """Verdict and causes in a line."""
-    verdict = result["verdict"].replace("_", " ")
-    text = verdict_text(result)
+    verdict, text = verdict_name(result), verdict_text(result)
     return text if text.startswith(verdict) else f"{verdict}: {text}"
 
 
@@ -106,6 +116,7 @@ def headline(result: Mapping[str, Any]) -> str:
         f" Also on {_listed([place(result['causes'][number]) for number in numbers])}: {effect_phrase(effect, result)}."
         for effect, numbers in _further(result).items()
     )
+    more += f" Explained{exception}." if (exception := _exception(result)) else ""
     return f"{_numbers_first(result)}{_opening(cause)}{sure}: {_one_of(cause, result)}.{more}{agrees}"
 
 

@@ -79,6 +79,15 @@ def test_the_command_for_further_logs_keeps_options_and_overwrites_nothing():
     assert "new.mcap" in step.what, "what is recorded has the name that the command reads"
 
 
+@pytest.mark.parametrize(("recorded", "new"), [("lerobot", "new/"), ("pace.pt", "new.pt"), ("a.mcap", "new.mcap")])
+def test_the_next_log_is_of_the_kind_that_was_given(recorded: str, new: str, tmp_path: Path):
+    (tmp_path / "lerobot").mkdir()
+    result = {"verdict": "unknown", "causes": [], "next_experiment": None}
+    (step,) = after_diagnosis(result, None, [tmp_path / recorded], replace(ASKED, next_recipe=None))
+    assert f" as {new}, then" in step.what
+    assert shlex.split(step.command)[-1] == new
+
+
 @pytest.mark.parametrize("known", [None, Path("zero.mcap")])
 def test_asks_for_a_drives_off_record_with_its_option(known):
     experiment = {"motion": f"First, {BRAKES}", "program": None}
@@ -117,7 +126,8 @@ def test_proposes_a_mass_with_the_command_that_plans_for_it(program):
     assert (found["next_recipe"], found["load"]) == (Path("next.yaml"), mass["payload"])
     assert found["out"] == Path("out_with_a_mass"), "the folder of the bare arm's motion is taken"
     assert found["logs"] == [Path("a b.mcap")]
-    assert len(after_diagnosis(result, "my robot.yaml", [], ASKED)) == (2 if program else 1), "no recipe, no plan"
+    steps = after_diagnosis(result, "my robot.yaml", [Path("a.mcap")], ASKED)
+    assert len(steps) == (2 if program else 1), "no recipe, no plan"
 
 
 def test_the_command_to_repeat_a_recalibration_has_its_authorisation(run: RunFolder, tmp_path: Path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -49,7 +50,7 @@ class CommandedStretch:
         q, qd = np.split(self.start, 2)
         return simulator.run(numbers, self.command, (float(self.time[0]), q, qd), float(self.time[-1]))
 
-    @property
+    @cached_property
     def frames(self) -> int:
         """Frames that make a row: those of the time between independent rows."""
         return max(1, round(LIMITS.independent / float(np.median(np.diff(self.time)))))

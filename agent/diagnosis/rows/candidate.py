@@ -112,11 +112,12 @@ def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candi
     """Candidates with their columns, filtered like the torque and divided by the noise level of `context`."""
     motions = list(zip(context.signals, context.sigmas, strict=True))
     made = []
+    few = any(signals.answer is not None for signals in context.signals)  # means, each the answer of a whole motion
     for (effect, joints, settings), blocks in zip(wanted, _all_columns(motions, wanted), strict=True):
         prior = effect.prior_precision(context, joints, settings)
         # not the context: it remembers the candidate, and a circle is not freed with the last reference
         again = partial(_made_again, motions, (effect, joints, settings))
-        columns, names = Blocks(blocks, again), effect.names(settings)
+        columns, names = blocks if few else Blocks(blocks, again), effect.names(settings)
         stable = all(np.abs(block).max(initial=0.0) < 1e15 for block in blocks.values())
         made.append(Candidate(effect, joints, dict(settings), names, columns, prior, context.reference, stable))
     return made

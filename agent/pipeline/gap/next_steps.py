@@ -16,8 +16,8 @@ from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
 from agent.pipeline.identify import what_a_model_lacks
 from agent.simulators import is_simulator
 
-#: Names of logs that are still to be recorded, in commands that people copy.
-_NEW_LOG, _BRAKES_LOG = "new.mcap", "brakes.mcap"
+#: Name of a log that is still to be recorded, in commands that people copy.
+_BRAKES_LOG = "brakes.mcap"
 
 
 def after_diagnosis(
@@ -37,7 +37,7 @@ def after_diagnosis(
     if result["verdict"] == "no_gap":
         large = any(LARGE_ERROR in warning for warning in result["warnings"])
         return [NextStep("record more logs, or estimate again." if large else "nothing to do: keep the model.")]
-    experiment = result["next_experiment"] or {}
+    new, experiment = _new_log(logs), result["next_experiment"] or {}
     replaced = experiment.get("motion", "").startswith(SAME_MOTIONS)  # by logs with a torque that can be judged
     words, paths = ["agent", "diagnose", *named, *asked.options()], [] if replaced else list(map(str, logs))
     again = shlex.join([*words, *paths])
@@ -48,12 +48,12 @@ def after_diagnosis(
         what = f"or, for a clearer answer, mount {mass} (or the mass you have) at the flange and plan for it:"
         loaded = [NextStep(what, shlex.join([*words, "--next", str(recipe), "--payload", mass, "-o", folder, *paths]))]
     if question.next_recipe is not None and experiment.get("program"):
-        return [*_run_planned(experiment, question.next_recipe, again), *loaded]
+        return [*_run_planned(experiment, question.next_recipe, again, new), *loaded]
     if not result["causes"] or result["verdict"] == "ambiguous":
         if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
             again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *paths])
             return [NextStep(f"record 1 s with the drives off as {_BRAKES_LOG}, then diagnose again:", again), *loaded]
-        return [NextStep(f"record the next motion as {_NEW_LOG}, then diagnose again:", f"{again} {_NEW_LOG}"), *loaded]
+        return [NextStep(f"record the next motion as {new}, then diagnose again:", f"{again} {new}"), *loaded]
     if all(CATALOGUE[cause["effect"]].shows_in == "path" for cause in result["causes"]):
         learn = ["agent", "learn-interpolator", "--robot", robot or "ROBOT", "-o", "law.yaml", *paths]
         return [NextStep("learn the controller's interpolator:", shlex.join(learn))]
@@ -62,19 +62,20 @@ def after_diagnosis(
     written = question.out if question.next_recipe is None else None
     if question.model is not None and is_simulator(question.model):
         if written is not None:
-            return [NextStep("use the corrected file; compare it with a log that took no part:", _compared(written))]
+            compared = shlex.join(["agent", "diagnose", "--model", str(written), new])
+            return [NextStep("use the corrected file; compare it with a log that took no part:", compared)]
         return [NextStep("correct the simulator:", f"{again} -o fixed{question.model.suffix}")]
     if written is not None:
-        check = shlex.join(["agent", "validate", "--model", str(written), _NEW_LOG])
+        check = shlex.join(["agent", "validate", "--model", str(written), new])
         return [NextStep("check the model with its effects on a log that took no part:", check)]
     effects = "effects" if len(result["causes"]) > 1 else "effect"
     return [NextStep(f"add the {effects} to the model:", f"{again} -o model_with_effects.json")]
 
 
-def _run_planned(experiment: Mapping[str, Any], planned_for: Path, again: str) -> list[NextStep]:
+def _run_planned(experiment: Mapping[str, Any], planned_for: Path, again: str, new: str) -> list[NextStep]:
     """The steps after a motion was planned for a recipe, or for an arm's file."""
     if is_simulator(planned_for):
-        return [NextStep("send the planned set-points and record each motion, then:", f"{again} NEW_DATA")]
+        return [NextStep(f"send the planned set-points and record each motion as {new}, then:", f"{again} {new}")]
     program, mass = Path(experiment["program"]), experiment.get(PAYLOAD)
     record = ["agent", "record", str(planned_for), "--program", str(program)]
     record += [] if mass is None else ["--payload", mass]
@@ -87,8 +88,9 @@ def _run_planned(experiment: Mapping[str, Any], planned_for: Path, again: str) -
     ]
 
 
-def _compared(simulator: Path) -> str:
-    return shlex.join(["agent", "diagnose", "--model", str(simulator), _NEW_LOG])
+def _new_log(logs: Sequence[Path]) -> str:
+    """Name of a log that is still to be recorded, in commands that people copy: what these are, file or folder."""
+    return "new/" if logs[-1].is_dir() else f"new{logs[-1].suffix}"
 
 
 def _what_the_model_lacks(named: Sequence[str], question: GapQuestion, logs: Sequence[Path]) -> NextStep:

@@ -10,14 +10,14 @@ from typing import Any
 
 from agent.core import counted, plus_minus
 from agent.diagnosis import forward_lines, reported_parameters, size_text, torque_gap
-from agent.pages import SUMMARY_KEYS, chances_text, next_text, place, summary
+from agent.pages import SUMMARY_KEYS, chances_text, next_text, place, summary, verdict_name
 from agent.robot import SHARE, figure_text
 
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people: the four things of the page's first screen, then the figures."""
     said = result.get("summary") or summary(result)
-    lines = [f"{'Verdict':10}{result['verdict'].replace('_', ' ')}"]
+    lines = [f"{'Verdict':10}{verdict_name(result)}"]
     lines += [_wrapped(f"{title:10}{said[key]}") for key, title in SUMMARY_KEYS.items() if key != "next"]
     lines += [*_next_lines(said), ""]
     for cause in result["causes"]:
