@@ -10,6 +10,7 @@ published them, which it says itself. Load counts, so it is printed.
 from __future__ import annotations
 
 import argparse
+import atexit
 import json
 import os
 import resource
@@ -106,6 +107,7 @@ def emulator(rate: float, log: Path) -> subprocess.Popen[bytes]:
     words = ["--robot", "ur5e", "--driver", "ros2", "--address", ADDRESS, "--rate", f"{rate:g}"]
     with log.open("wb") as out:
         process = subprocess.Popen([sys.executable, "-m", "fake_controller", *words], stdout=out, stderr=out)
+    atexit.register(process.kill)
     while b"fake controller: ur5e" not in log.read_bytes():
         if process.poll() is not None:
             raise SystemExit(log.read_text(encoding="utf-8"))

@@ -12,8 +12,8 @@ from agent.recipe import load_recipe
 from agent.recording import Log
 from agent.robot import load_robot
 from agent.validation import predict_log
+from drivers.joint_trajectory import GoalProgram
 from drivers.transports.ros2.motion import Ros2Motion
-from drivers.transports.ros2.program import GoalProgram
 from drivers.wire.ros2 import JointSample, RosAddress
 from fake_controller.build import build_controller, build_ros2_cell
 from fake_controller.controller import PERIOD, Listener

@@ -21,10 +21,10 @@ from agent.motion import (
     stop_to_stop,
     with_frames,
 )
-from agent.motion.joint_trajectory.spline import JointSpline, rest_to_rest
 from agent.robot import kinematics_for, load_robot
 from agent.safety.first_run import slow_text
 from agent.safety.planned_program import PlannedProgram
+from drivers.joint_trajectory import JointSpline, rest_to_rest
 from fake_controller.state import home
 
 DIALECT = create_dialect("joint_trajectory")
@@ -190,6 +190,9 @@ def test_a_program_of_someone_else_is_read():
         (goal().replace('"cycles": 2', '"cycles": true'), "cycles is True"),
         (goal().replace('["a", "b"], "points"', '["b", "a"], "points"'), "joints of a goal"),
         (HEADER + TO.replace("[1, 1]", "[1, 0]"), "above zero"),
+        (goal(p2__time_from_start={"sec": 21, "nanosec": 0}), "20 s are allowed"),
+        (HEADER + TO.replace("[0, 0]", "[NaN, 0]"), "finite"),
+        (HEADER, "moves nothing"),
         (HEADER + '{"rest": -1}', "a rest of -1"),
         (HEADER + "[1]", "an object"),
         (HEADER + '{"to": [0, 0]}', "'velocity' is missing"),

@@ -15,15 +15,13 @@ import numpy as np
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
 from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings
-from agent.motion.joint_trajectory.spline import JointSpline, rest_to_rest
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement
 from agent.robot import Dynamics, RobotDescription, Tool
+from drivers.joint_trajectory import LONGEST, JointSpline, rest_to_rest
 
 #: Points of a trajectory a second.
 POINTS = 20
-#: Longest motion [s] from rest to rest: a controller goes on to the end of it when nobody is there any more.
-LONGEST = 20.0
 _PERIOD = 0.005  # s, of the plan that points are taken from
 _ROUNDING = 1e-6  # of limits: points in a text have nine decimals
 

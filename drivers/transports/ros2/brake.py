@@ -23,13 +23,13 @@ from typing import IO, Any
 import numpy as np
 
 from drivers.errors import DriverError, ProtocolError
-from drivers.transports.ros2.following import CANCEL_AFTER, Believed, brake_point
+from drivers.transports.ros2.following import CANCEL_AFTER, Believed
 from drivers.wire.ros2 import JOINT_STATES, JointStateReader, RosAddress
 
 #: Silence [s] of an agent that is armed after which it is taken for gone: a busy computer keeps a process waiting for
 #: half a second.
 SILENCE = 1.0
-_TURN = 0.01  # s
+_TURN = 0.02  # s
 _OLD = 0.3  # s: a sample that still says where the arm is
 _READY = "ready"
 
@@ -153,7 +153,7 @@ def main(arguments: Sequence[str]) -> int:
     address, name, *joints = arguments
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when the agent does
-    from drivers.transports.ros2.ros import Ros, trajectory_message
+    from drivers.transports.ros2.ros import Ros, send_brake
 
     target = RosAddress.of(address)
     ros = Ros(target.domain, name)
@@ -181,9 +181,7 @@ def main(arguments: Sequence[str]) -> int:
             cancel_at, old = time.monotonic(), time.monotonic() - believed.at
             if old <= _OLD:  # or the arm would be thrown back to where it was
                 position = believed.sample.position + believed.velocity * old
-                seconds, goal = brake_point(position, believed.velocity, orders.strength)
-                publisher.publish(trajectory_message(joints, 0.0, [(seconds, goal, 0.0 * goal)]))
-                cancel_at += seconds + CANCEL_AFTER
+                cancel_at += send_brake(publisher, joints, orders.strength, position, believed.velocity) + CANCEL_AFTER
         if time.monotonic() >= cancel_at:
             ros.cancel_all(target)
             ros.spin_for(0.5)

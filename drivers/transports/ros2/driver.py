@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import ConfigurationError, DriverError, RefusedError
+from drivers.joint_trajectory import LONGEST, GoalProgram
 from drivers.protocol import Identity, Status
 from drivers.transports.base.link import LinkDriver, check_currents
 from drivers.transports.ros2 import preconditions
 from drivers.transports.ros2.brake import BrakeProcess
 from drivers.transports.ros2.link import RosLink
 from drivers.transports.ros2.motion import Ros2Motion
-from drivers.transports.ros2.program import LONGEST, GoalProgram
 from drivers.wire.ros2 import DESCRIPTION, MANAGER, JointSample, RosAddress, SetPoint, joints_of
 
 #: What `effort` of joint_states may be said to be.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.transports.ros2.program import Points
+from drivers.joint_trajectory import JointSpline
 from drivers.wire.ros2 import JointSample
 
 #: Shortest and longest time [s] in which a brake brings the arm to rest.
@@ -16,49 +16,19 @@ _REFIT = 0.01
 #: What a joint moves at most between two of its samples [rad/s, m/s], and what rounding and late stamps add [rad, m].
 _FASTEST, _ROUNDING = 10.0, 0.03
 _PAUSE = 1.0  # s, after which an arm may be anywhere
-_EXPONENTS = np.arange(6)
-#: Of u³, u⁴ and u⁵ at 1: value, slope and bend.
-_INVERSE = np.linalg.inv([[1, 1, 1], [3, 4, 5], [6, 12, 20]])
 
 
 class Course:
-    """A trajectory from rest at `start` (n,), as its controller joins its points: quintics from its stamp on.
+    """Points from rest at `start` (n,) on, as a controller joins them from the `stamp` [s] of its clock on."""
 
-    Args:
-        stamp: of the trajectory [s], by the controller's clock.
-    """
-
-    def __init__(self, stamp: float, start: np.ndarray, points: Points) -> None:
-        self.stamp, self.start, self.points = stamp, start, points
-        self.end = stamp + points.duration
-
-        standstill = np.zeros((1, 3, len(start)))
-        standstill[0, 0] = start
-        self._times = np.concatenate([[0.0], points.times])
-        self._powers = _powers(np.diff(self._times), np.concatenate([standstill, points.rows]))
+    def __init__(self, stamp: float, start: np.ndarray, points: JointSpline) -> None:
+        self.stamp, self._spline = stamp, points.after_rest_at(start)
+        self.end, self.last = stamp + points.duration, points.q[-1]
 
     def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (n,) at a stamp [s]; stationary before and after."""
-        passed = stamp - self.stamp
-        if passed <= 0.0:
-            return self.start, 0.0 * self.start
-        if passed >= self.points.duration:
-            return self.points.rows[-1, 0], 0.0 * self.start
-        k = int(np.searchsorted(self._times, passed, side="right")) - 1
-        length = self._times[k + 1] - self._times[k]
-        u = (passed - self._times[k]) / length
-        position: np.ndarray = u**_EXPONENTS @ self._powers[k]
-        velocity: np.ndarray = (_EXPONENTS[1:] * u ** _EXPONENTS[:-1]) @ self._powers[k, 1:] / length
+        position, velocity, _ = self._spline.at(stamp - self.stamp)
         return position, velocity
-
-
-def _powers(lengths: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(K - 1, 6, n) coefficients over u from 0 to 1, lowest power first, of quintics through rows (K, 3, n)."""
-    scaled = lengths[:, None, None] ** np.arange(3)[None, :, None]
-    first, second = rows[:-1] * scaled, rows[1:] * scaled
-    position, velocity, acceleration = first.transpose(1, 0, 2)
-    missing = second - np.stack([position + velocity + acceleration / 2, velocity + acceleration, acceleration], axis=1)
-    return np.concatenate([first / np.array([1.0, 1.0, 2.0])[:, None], _INVERSE @ missing], axis=1)
 
 
 def brake_point(position: np.ndarray, velocity: np.ndarray, strength: np.ndarray) -> tuple[float, np.ndarray]:

@@ -15,8 +15,8 @@ import numpy as np
 
 from drivers.errors import DriverError, ProtocolError
 from drivers.transports.base.link import LinkThread
-from drivers.transports.ros2.following import CANCEL_AFTER, Believed, brake_point
-from drivers.transports.ros2.ros import Ros, set_time, trajectory_message, typed
+from drivers.transports.ros2.following import CANCEL_AFTER, Believed
+from drivers.transports.ros2.ros import Ros, send_brake, set_time, trajectory_message, typed
 from drivers.wire.ros2 import (
     DESCRIPTION,
     JOINT_STATES,
@@ -32,6 +32,9 @@ _STALL = 0.05  # s of one turn that count as silence
 _URDF = 16 * 1024 * 1024  # bytes
 _DRIFT = 0.1  # of simulated time from ours
 _SEEN = 20_000  # samples of which ages are kept, at most
+_SUCCEEDED = 4  # of action_msgs/GoalStatus
+#: Instead of an error code, of a goal that somebody cancels.
+CANCELLED = 1
 #: Ages and rate are known over this time [s].
 OBSERVED = 2.0
 
@@ -266,8 +269,9 @@ class RosLink(LinkThread):
         set_time(goal.goal_time_tolerance, goal_time)
 
         def on_result(future: Any) -> None:
-            result = future.result().result
-            ended(int(result.error_code), str(result.error_string))
+            answer = future.result()  # one that somebody cancels has no error code
+            code = int(answer.result.error_code) or (0 if answer.status == _SUCCEEDED else CANCELLED)
+            ended(code, str(answer.result.error_string))
 
         def on_answer(future: Any) -> None:
             handle = future.result()
@@ -281,13 +285,11 @@ class RosLink(LinkThread):
         return stamp
 
     def brake(self, strength: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> float:
-        """Send the one point that brings the arm to rest from this state (n,); how long it takes [s]. Never raises."""
-        seconds, goal = brake_point(position, velocity, strength)
+        """`send_brake` to this arm; never raises."""
         try:
-            self._commands.publish(trajectory_message(self.joints, 0.0, [(seconds, goal, 0.0 * goal)]))
+            return send_brake(self._commands, self.joints, strength, position, velocity)
         except Exception:  # a context that has ended: the second process brakes
             return 0.0
-        return seconds
 
     def cancel(self) -> None:
         """Cancel whatever runs; never raises."""

@@ -12,11 +12,11 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers.errors import DriverError, MotionStopped, RefusedError
+from drivers.joint_trajectory import GoalProgram, Step
 from drivers.protocol import SampleBlock
 from drivers.transports.base.samples import SampleStream
 from drivers.transports.ros2.following import CANCEL_AFTER, Counter, Course
-from drivers.transports.ros2.link import RosLink
-from drivers.transports.ros2.program import GoalProgram, Step
+from drivers.transports.ros2.link import CANCELLED, RosLink
 from drivers.wire.reasons import EndReason
 from drivers.wire.ros2 import JOINT_STATES, JointSample, SetPoint
 
@@ -35,11 +35,15 @@ _STALL = 0.5  # s in which nothing was watched here, and the second process may 
 _STEP = 1.0  # s between two samples that no clock makes which is left alone
 _OLD = 0.1  # s: what a sample says of an arm that moves on
 _TWICE = 0.2  # s: requests to stop that are nearer than this have one cause
-_ANSWER, _SETTLES = 2.0, 3.0  # s: of a goal's answer, and after its last point
+_ANSWER, _GOAL_TIME, _SETTLES = 2.0, 1.0, 3.0  # s: of a goal's answer, and after its last point, there and here
 _SPAN, _STILL = 0.1, 0.003  # s, and rad/s over it: an arm that stands
 _LEFT = 0.003  # rad, m between a stationary arm and its trajectory
 _BLOCK = 0.01  # s of samples that are handed out at once
-_CODES = {-4: "it left its path by more than the tolerance", -5: "it did not reach the end in time"}
+_CODES = {
+    -4: "it left its path by more than the tolerance",
+    -5: "it did not reach the end in time",
+    CANCELLED: "somebody cancelled the goal",
+}
 
 
 class Ros2Motion(SampleStream):
@@ -272,7 +276,7 @@ class Ros2Motion(SampleStream):
             else:
                 self._held()
         elif not self._by_goal and self._stands():
-            off = np.abs(sample.position - course.points.rows[-1, 0])
+            off = np.abs(sample.position - course.last)
             if np.all(off <= START):
                 self._go_on(sample)
         if self._phase == "settling" and sample.stamp - course.end > _SETTLES:
@@ -315,8 +319,8 @@ class Ros2Motion(SampleStream):
 
     def _send(self, step: Step, sample: JointSample) -> None:
         points = step.from_(sample.position)
-        if step.points is not None and not np.all(np.abs(points.rows[0, 0] - sample.position) <= START):
-            off = np.abs(points.rows[0, 0] - sample.position)
+        if step.points is not None and not np.all(np.abs(points.q[0] - sample.position) <= START):
+            off = np.abs(points.q[0] - sample.position)
             error = RefusedError(
                 f"the arm does not stand where the next trajectory begins: {self._program.joints[int(np.argmax(off))]} "
                 f"is off by {off.max():.3f} rad, {START:g} are allowed"
@@ -328,18 +332,18 @@ class Ros2Motion(SampleStream):
             return
         tolerance = np.full(len(self._program.joints), 0.1) if step.tolerance is None else step.tolerance
         self._limit_off = SHARE * tolerance
-        rows = [(float(t), *row) for t, row in zip(points.times, points.rows, strict=True)]
+        rows = list(zip(points.t.tolist(), points.q, points.qd, points.qdd, strict=True))
         self._phase, self._accepted, self._result, self._sent_at = "moving", None, None, self._clock()
         self.goals_sent += 1
         number = self.goals_sent
         if self._by_goal:
             answered, ended = functools.partial(self._answered, number), functools.partial(self._ended, number)
-            stamp = self._link.send_goal(AHEAD, rows, tolerance, step.goal_time, answered, ended)
+            stamp = self._link.send_goal(AHEAD, rows, tolerance, _GOAL_TIME, answered, ended)
         else:
             stamp = self._link.send(AHEAD, rows)
         self.course = Course(stamp, sample.position, points)
         if step.points is not None:
-            self.cycle_starts.append(stamp + float(points.times[0]))
+            self.cycle_starts.append(stamp + float(points.t[0]))
 
     def _answered(self, number: int, accepted: bool) -> None:
         with self._lock:

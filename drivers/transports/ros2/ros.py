@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import DriverError
+from drivers.transports.ros2.following import brake_point
 from drivers.wire.ros2 import RosAddress
 
 #: Samples that wait in the middleware: at 10 a busy process loses one in ten, at 2000 it loses nothing.
@@ -152,6 +153,15 @@ class Ros:
                 end()
             except Exception:  # what is left of it ends with the process
                 continue
+
+
+def send_brake(
+    publisher: Any, joints: Iterable[str], strength: np.ndarray, position: np.ndarray, velocity: np.ndarray
+) -> float:
+    """Send the one point that brings an arm to rest from this state (n,); how long that takes [s]."""
+    seconds, goal = brake_point(position, velocity, strength)
+    publisher.publish(trajectory_message(joints, 0.0, [(seconds, goal, 0.0 * goal)]))
+    return seconds
 
 
 def trajectory_message(joints: Iterable[str], stamp: float, points: Sequence[Sequence[Any]]) -> Any:
