@@ -71,6 +71,19 @@ def _offered(package: Path) -> set[str]:
     return {name.name for node in nodes if node.level or f"{node.module}.".startswith(f"{own}.") for name in node.names}
 
 
+def test_exported_functions_say_what_their_arguments_are():
+    """One or two are said in a sentence; more have a line each."""
+    silent = []
+    for package in [*(ROOT / "agent").glob("*/__init__.py*"), *(ROOT / "agent").rglob("__init__.pyi")]:
+        for path in sorted(package.parent.rglob("*.py")):
+            for node in ast.parse(path.read_text("utf-8")).body:
+                if isinstance(node, ast.FunctionDef) and node.name in _offered(package.parent):
+                    told = re.search("Args:|Parameters", ast.get_docstring(node) or "")
+                    if len(node.args.args) + len(node.args.kwonlyargs) > 2 and not told:
+                        silent.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {node.name}")
+    assert silent == []
+
+
 def test_no_module_shadows_an_exported_function():
     """A package loads an exported name on first use; a module of that name, imported before, would replace it."""
     hidden = []

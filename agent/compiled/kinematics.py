@@ -30,9 +30,14 @@ _fused: Any = intrinsic(_product_added)
 def forward_and_jacobian(  # noqa: C901
     transforms: np.ndarray, prismatic: np.ndarray, q: np.ndarray, cosine: np.ndarray, sine: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(S, 4, 4) poses and (S, 6, n) Jacobian of the TCP from joint positions (S, n), their cosines and sines.
+    """(S, 4, 4) poses and (S, 6, n) Jacobian of the TCP.
 
-    Between the joints are constant transforms (n + 1, 4, 4), each made for a joint along its z axis.
+    Args:
+        transforms: (n + 1, 4, 4) constant, between the joints, each made for a joint along its z axis.
+        prismatic: (n,) bool.
+        q: (S, n) joint positions.
+        cosine: (S, n) of the positions.
+        sine: (S, n) of the positions.
     """
     samples, joints = q.shape
     poses, jacobian = np.zeros((samples, 4, 4)), np.zeros((samples, 6, joints))

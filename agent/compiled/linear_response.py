@@ -11,9 +11,15 @@ from agent.compiled.compiling import compiled
 def stepped(
     system: np.ndarray, entry: np.ndarray, inputs: np.ndarray, first: int, every: int, outputs: int
 ) -> np.ndarray:
-    """(R, `outputs`, K) first outputs of x ← A x + B u from x = 0 on, at steps `first`, `first` + `every`, ….
+    """(R, `outputs`, K) first outputs of x ← A x + B u from x = 0 on. S steps have S + 1 states.
 
-    system A (S, m, m), entry B (S, m, J) and inputs u (S, J, K) of each of S steps; there are S + 1 states.
+    Args:
+        system: A (S, m, m) of each step.
+        entry: B (S, m, J).
+        inputs: u (S, J, K).
+        first: state that is returned first.
+        every: states from one that is returned to the next.
+        outputs: number of states' entries that are returned.
     """
     steps, size, columns = len(system), system.shape[1], inputs.shape[2]
     answers = np.zeros(((steps - first) // every + 1, outputs, columns))

@@ -101,12 +101,17 @@ def not_a_knot(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 @compiled("Tuple((f8[:,:,::1], f8[:,:,:,::1]))(f8[:,:,::1], f8, f8[:,:])")
 def derivatives(coefficients: np.ndarray, last: float, orientation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(3, m, K) first to third derivatives at the knots of cubics (4, m, K - 1), whose last cell is `last` long; and
-    (2, 2, K, 3) of the position, then of the turn, velocity and acceleration by the path parameter.
+    """(3, m, K) first to third derivatives at the knots, and (2, 2, K, 3) velocity and acceleration by the path
+    parameter, of the position, then of the rotation.
 
-    The last seven of the m rows are position and quaternion, whose values at the knots are `orientation` (K, 4). The
-    third derivative is that of the neighbouring cell where it is larger. The angular velocity over s is 2 Q' Q*, its
-    derivative 2 Q'' Q* but for a scalar part; Q' is across Q.
+    The last seven of the m rows are position and quaternion. The third derivative is that of the neighbouring cell
+    where it is larger. The angular velocity over s is 2 Q' Q*, its derivative 2 Q'' Q* but for a scalar part;
+    Q' is across Q.
+
+    Args:
+        coefficients: (4, m, K - 1) of the cubics between the knots, highest power first.
+        last: length of the last cell.
+        orientation: (K, 4) quaternions at the knots.
     """
     _, rows, cells = coefficients.shape
     changes, tool = np.empty((3, rows, cells + 1)), np.empty((2, 2, cells + 1, 3))

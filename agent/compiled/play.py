@@ -28,15 +28,23 @@ def driven_through_play(
     substeps: int,
     period: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(K, S) what K links take of their load [N·m], the change of their speed [rad/s²] and the twist [rad], in each
-    sample of `period` [s].
+    """(K, S) what K links take of their load [N·m], the change of their speed [rad/s²] and the twist [rad], per sample.
 
-    impulse, slope, mobility (S, M): what pushes in a step of length `step` [s], by how much less for a twist of one,
-    and one over the inertia, of which link k has `column` k (K,), the mobility `followed` (K,) at most and of the slope
-    half the spring's. spring (K,): impulse of a step per twist beyond half the play (K,); loss (K,): part of the
-    speed's momentum that damping takes in a step while the teeth touch, which they always do where no link has play;
-    twist (K,): at the start, which is a guess: a link is damped so that it forgets it with the fourth power of the time
-    gone, or critically, as long as that is more than its own damping.
+    Args:
+        impulse: (S, M) what pushes in a step.
+        slope: (S, M) by how much less it is for a twist of one, at most half the spring's.
+        mobility: (S, M) one over the inertia.
+        column: (K,) which of the M columns are a link's.
+        followed: (K,) largest mobility that the steps can follow.
+        spring: (K,) impulse of a step per twist beyond half the play.
+        loss: (K,) part of the speed's momentum that damping takes in a step while the teeth touch, which they always do
+            without play.
+        half: (K,) half the play [rad].
+        twist: (K,) at the start, which is a guess. A link is damped so that it forgets it with the fourth power of the
+            time gone, or critically, as long as that is more than its own damping.
+        step: [s].
+        substeps: steps in a sample.
+        period: of the samples [s].
     """
     samples, count = len(impulse), len(column)
     torque, second = np.empty((count, samples), np.float32), np.empty((count, samples), np.float32)

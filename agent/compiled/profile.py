@@ -11,11 +11,17 @@ from agent.compiled.compiling import compiled
 def growth(
     ceiling: np.ndarray, joints: np.ndarray, tool: np.ndarray, steps: np.ndarray, part: np.ndarray
 ) -> np.ndarray:
-    """(n + t, K) sums of what the squares of speeds may change by from knot to knot under a ceiling (K,) of ṡ².
+    """(n + t, K) sums of what the squares of speeds may change by from knot to knot.
 
-    joints (n, K - 1): changes that the joints' accelerations allow. tool (3, t, K): of each limit of the TCP what the
-    path bends, the limit, and what of it ramps may take where it is straight; steps (t, K - 1) along the path. The
-    curve takes its part of a limit, the sum of squares is the limit's. `part` (K - 1,) is left by overrides.
+    The curve takes its part of a limit; the sum of squares is the limit's.
+
+    Args:
+        ceiling: (K,) of ṡ².
+        joints: (n, K - 1) changes that the joints' accelerations allow.
+        tool: (3, t, K) of each limit of the TCP what the path bends, the limit, and what ramps may take of it on
+            a straight.
+        steps: (t, K - 1) along the path.
+        part: (K - 1,) that overrides leave.
     """
     (count, cells), limits = joints.shape, len(steps)
     total, along = np.zeros((count + limits, cells + 1)), np.empty(cells + 1)
@@ -41,10 +47,17 @@ def fastest(  # noqa: C901
     least: np.ndarray,
     passes: int,
 ) -> np.ndarray:
-    """The largest z (K,) under `ceiling` (K,), zero at its ends, for which y = weight z (m, K) respects its limits.
+    """The largest z (K,), zero at its ends, for which y = weight z (m, K) respects the limits of its rise and fall.
 
-    The limits of its rise and fall are rising, falling (m, K), see `growth`. A y up to `least` (m,) is not limited. The
-    passes end once one changes z by at most 1e-4 of its largest, or after `passes`.
+    The passes end once one changes z by at most 1e-4 of its largest.
+
+    Args:
+        ceiling: (K,) of z.
+        weight: (m, K).
+        rising: (m, K) limits of the rise, see `growth`.
+        falling: (m, K) limits of the fall.
+        least: (m,) a y up to this is not limited.
+        passes: largest number of passes.
     """
     rows, knots = weight.shape
     inverse, unused = np.empty((rows, knots)), np.empty((rows, knots))
@@ -93,7 +106,13 @@ def fastest(  # noqa: C901
 
 @compiled("f8[::1](f8[::1], f8[::1], f8)")
 def held(s: np.ndarray, ceiling: np.ndarray, window: float) -> np.ndarray:
-    """Ceiling of ṡ² (K,) at parameters s (K,); each dip is extended by half a window's distance to either side."""
+    """Ceiling of ṡ² (K,) in which each dip is extended by half a window's distance to either side.
+
+    Args:
+        s: (K,) parameters.
+        ceiling: (K,) of ṡ² there.
+        window: [s].
+    """
     wide = ceiling.copy()
     for k in range(1, len(s) - 1):
         if ceiling[k] <= ceiling[k - 1] and ceiling[k] < ceiling[k + 1]:
@@ -130,9 +149,16 @@ def lowered(
     allowed: float,
     half: int,
 ) -> np.ndarray:
-    """(K,) the ceiling at knots (K,) lowered where the stretch of samples (S,) is more than `allowed`.
+    """(K,) the ceiling at the knots, lowered to what samples need that stretch time too much.
 
-    It is lowered to what they need, from `half` samples before to `half` after each.
+    Args:
+        ceiling: (K,) of ṡ².
+        knots: (K,) parameters.
+        s: (S,) parameters of the samples.
+        speed: (S,) ṡ.
+        stretch: (S,) factor by which a sample stretches time.
+        allowed: largest factor.
+        half: samples before and after each that are lowered too.
     """
     lowest = np.full(len(s), np.inf)
     for k in range(len(s)):

@@ -20,10 +20,19 @@ def regressor_columns(
 ) -> np.ndarray:
     """(n, 10 n, S) torque of each joint by each standard parameter: m, m c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz of each link.
 
-    rotations (n, 3, 3), origins (n, 3): each joint's frame in the one before, at q = 0; axes (n, 3) in its own frame.
     A link with acceleration a of its origin, angular velocity w and acceleration α needs there the force
     m a + α × mc + w × (w × mc) and the moment mc × a + I α + w × I w, all in its frame; a joint that moves it at u
     about, and l along, gives l · force + u · moment (Siciliano et al., Robotics, 2009, 7.5).
+
+    Args:
+        rotations: (n, 3, 3) of each joint's frame in the one before, at q = 0.
+        origins: (n, 3) of the frames.
+        axes: (n, 3) of the joints, in their own frames.
+        prismatic: (n,) bool.
+        gravity: (3,) [m/s²].
+        q: (S, n) positions.
+        qd: (S, n) velocities.
+        qdd: (S, n) accelerations.
     """
     samples, joints = q.shape
     columns = np.zeros((joints, 10 * joints, samples))

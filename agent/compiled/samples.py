@@ -21,9 +21,19 @@ def averaged(
     window: float,
     stretch: float,
 ) -> np.ndarray:
-    """(3, S) s, ṡ and s̈ at growing times t (S,): those of a law of constant accelerations, averaged over a window.
+    """(3, S) s, ṡ and s̈ of a law of constant accelerations, averaged over a window.
 
-    The law: at times (K,) s, ṡ and the integral of s (K,), s̈ of the cells between (K - 1,); stationary outside them.
+    The law is stationary outside its times.
+
+    Args:
+        t: (S,) growing times.
+        times: (K,) of the law.
+        s: (K,) parameter at these times.
+        speed: (K,) ṡ.
+        acceleration: (K - 1,) s̈ of the cells between.
+        integral: (K,) of s.
+        window: [s].
+        stretch: factor on the law's time.
     """
     means = np.empty((3, len(t)))
     last, end = len(times) - 1, times[-1]
@@ -55,10 +65,16 @@ def sampled_on(
     acceleration: np.ndarray,
     joints: int,
 ) -> np.ndarray:
-    """(3, n + 7, S) joints and TCP with first and second derivative by time, at s (S,) since the first knot.
+    """(3, n + 7, S) joints and TCP with first and second derivative by time. The quaternion's value is made a unit.
 
-    coefficients (4, n + 7, K - 1) of the cells from each knot (K,) on, highest power first; the last four rows are a
-    quaternion, whose value is made a unit.
+    Args:
+        knots: (K,) parameters.
+        coefficients: (4, n + 7, K - 1) of the cells from each knot on, highest power first; the last four rows are a
+            quaternion.
+        s: (S,) parameter since the first knot.
+        speed: (S,) ṡ.
+        acceleration: (S,) s̈.
+        joints: n.
     """
     rows, count = coefficients.shape[1], len(s)
     samples = np.empty((3, rows, count))
@@ -145,9 +161,15 @@ def stretched(
 ) -> np.ndarray:
     """(2, S) the factor by which time has to be stretched for speed and acceleration, and how full the jerk is.
 
-    found (3, n + 7, S) as of `sampled_on`; ceilings (4, K) of the TCP's linear and rotational speed, then acceleration,
-    each on the cell before its knot; of the joints (n,) speeds, accelerations, changes of acceleration a sample, and
-    third differences of position.
+    Args:
+        knots: (K,) parameters.
+        ceilings: (4, K) of the TCP's linear and rotational speed, then acceleration, each on the cell before its knot.
+        s: (S,) parameter since the first knot.
+        found: (3, n + 7, S) as of `sampled_on`.
+        speeds: (n,) of the joints.
+        accelerations: (n,).
+        jerks: (n,) changes of acceleration a sample.
+        over_three: (n,) third differences of position.
     """
     joints, count = len(speeds), len(s)
     full, rates = np.empty((2, count)), tcp_rates(found, joints)

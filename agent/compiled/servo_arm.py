@@ -247,17 +247,27 @@ def march(  # noqa: C901
     state: np.ndarray,
     found: np.ndarray,
 ) -> None:
-    """Steps of `dt` [s], `substeps` a sample, of n joints: `agent.simulators.ForwardSimulation` says what they are.
+    """Steps of n joints: `agent.simulators.ForwardSimulation` says what they are.
 
-    The arm is that of `regressor_columns`, its `inertias` (n, 10) those of the links in that order; `coupling` (n, n),
-    `rotors` (n,) on the axles. `outside` (n,) is a torque on the joints. Of all axles:
-
-    gains (5, n): position, velocity and integral, part of the reference velocity, limit
-    friction (10, n): f0, f1, f2 and transition of what has no memory; of bristles coulomb, rise, 1 / Stribeck speed,
-        viscous, 1 / knee and stiffness
-    references (S · substeps, 2, n): position, velocity
-    state (5, n): joints' position, velocity and acceleration; servos' integral, bristles' torque; goes on from here
-    found (S, 5, n): joints' position and velocity, motors' position, velocity and torque; written
+    Args:
+        rotations: of the arm, as of `regressor_columns`.
+        origins: likewise.
+        axes: likewise.
+        prismatic: likewise.
+        gravity: likewise.
+        inertias: (n, 10) of the links, in that order.
+        coupling: (n, n).
+        rotors: (n,) on the axles.
+        gains: (5, n) position, velocity and integral, part of the reference velocity, limit.
+        friction: (10, n) f0, f1, f2 and transition of what has no memory; of bristles coulomb, rise, 1 / Stribeck
+            speed, viscous, 1 / knee and stiffness.
+        references: (S · substeps, 2, n) position, velocity.
+        outside: (n,) torque on the joints.
+        substeps: steps a sample.
+        dt: of a step [s].
+        state: (5, n) joints' position, velocity and acceleration; servos' integral, bristles' torque; goes on from
+            here.
+        found: (S, 5, n) joints' position and velocity, motors' position, velocity and torque; written.
     """
     n = len(rotors)
     q, v, a, bristle = state[0], state[1], state[2], state[4]

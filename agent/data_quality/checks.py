@@ -66,9 +66,14 @@ def check_quality(robot: RobotDescription, logs: Sequence[Log], others: Sequence
 
 
 def contradicted(robot: RobotDescription, logs: Sequence[Log], declared: str) -> str | None:
-    """What in the torques of logs contradicts that they are `current` or `torque-without-gravity`; None: nothing.
+    """What in the torques of logs contradicts what they are said to be; None: nothing.
 
     Torque itself is checked by `check_quality`.
+
+    Args:
+        robot: description of the arm.
+        logs: with torque.
+        declared: `current` or `torque-without-gravity`.
     """
     measured = [log for log in logs if log.effort is not None]
     if declared not in ("current", "torque-without-gravity") or not measured:

@@ -25,7 +25,10 @@ _HIGH_QUANTILE = 0.75  # quantile of load and acceleration, from which on they a
 def standstill_speed(speeds: Sequence[np.ndarray], max_velocity: np.ndarray, share: float = _STANDSTILL) -> np.ndarray:
     """Speed (n,) [rad/s] up to which a joint counts as stationary, so that its friction is anything within stiction.
 
-    speeds: (S, n) of each motion; max_velocity (n,) of the joints; share: of the highest speed.
+    Args:
+        speeds: (S, n) of each motion.
+        max_velocity: (n,) of the joints.
+        share: of the highest speed.
     """
     fastest = np.max([np.abs(speed).max(axis=0) for speed in speeds], axis=0)
     usual = np.maximum(fastest, _OF_ARM * np.max(fastest / max_velocity) * max_velocity)

@@ -41,10 +41,15 @@ def import_log(
 ) -> tuple[str, ...]:
     """Turn columns of one or more tables into a log, by a mapping file, or by the name of a recorder (`PRESETS`).
 
-    `robot` may also be what finds it by the names of the columns of positions.
-
     Motor-side columns come to the joints by the robot's gear ratios g and coupling C: q = C⁻¹ diag(1/g) q_m and
-    τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i. `effort` is what the log then says of it.
+    τ = Cᵀ diag(g) τ_m; a current i by its torque constant first, τ_m = k i.
+
+    Args:
+        robot: description, or what finds it by the names of the columns of positions.
+        map_or_preset: mapping file, or name of a recorder.
+        inputs: tables.
+        output: the log.
+        effort: what the log says its torque is.
 
     Returns:
         Notes on rows, samples and repairs.

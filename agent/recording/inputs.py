@@ -18,7 +18,10 @@ from agent.robot import RobotDescription
 def read_recording(path: Path, robot: RobotDescription, topic: str | None = None) -> tuple[list[Log], tuple[str, ...]]:
     """The logs of a file or folder, one for each episode, and what there is to say about all of them.
 
-    `topic` is that of the joint states; of a dataset of two arms, `left` or `right`.
+    Args:
+        path: file or folder.
+        robot: description of the arm.
+        topic: of the joint states; of a dataset of two arms, `left` or `right`.
 
     Raises:
         InputError: it cannot be read as a recording of this robot.
@@ -42,9 +45,14 @@ def recorded_joints(path: Path, topic: str | None = None) -> tuple[str, ...] | i
 def import_dataset(
     robot: RobotDescription, path: Path, out: Path, topic: str | None = None, preset: str | None = None
 ) -> tuple[str, ...]:
-    """Write a log for each episode of a dataset: into the folder `out`, or, of a single one, into a file `.mcap`.
+    """Write a log for each episode of a dataset. All logs are written, or none.
 
-    `preset` names the format where the path does not show it. All logs are written, or none.
+    Args:
+        robot: description of the arm.
+        path: of the dataset.
+        out: folder of the logs; of a single episode also a file `.mcap`.
+        topic: as of `read_recording`.
+        preset: name of the format, where the path does not show it.
 
     Raises:
         InputError: the dataset cannot be read, or `out` is a file where a folder is needed.

@@ -59,10 +59,12 @@ class _Table:
 
 
 def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str | None = None) -> Log:
-    """Read a log by docs/logs.md, whoever wrote it.
+    """Read a log by docs/logs.md, whoever wrote it. `Log.repairs` lists all repairs.
 
-    Joints come in the order of `robot`, whatever the order and the further joints of the log; without a robot, in the
-    order of the log. `topic` is that of the joint states where there are several. `Log.repairs` lists all repairs.
+    Args:
+        path: MCAP file, or a bag.
+        robot: joints come in its order, whatever the order and the further joints of the log; None: order of the log.
+        topic: of the joint states, where there are several.
 
     Raises:
         InputError: neither an MCAP file nor a bag, no joint states in it, several topics that may be meant, joints of

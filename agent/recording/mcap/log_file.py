@@ -368,10 +368,13 @@ def _rows(values: np.ndarray | None, which: np.ndarray | slice) -> np.ndarray | 
 
 
 def write_log(path: Path, log: Log, further: Mapping[str, Sequence[Any]] | None = None) -> None:
-    """Write a log that is in memory, whole or not at all; an existing file is replaced.
+    """Write a log that is in memory, whole or not at all.
 
-    `further` are joint states by topic: times (K,) [s from the first sample], position, velocity and effort (K, n) or
-    None.
+    Args:
+        path: an existing file is replaced.
+        log: what is written.
+        further: joint states by topic: times (K,) [s from the first sample], position, velocity and effort (K, n) or
+            None.
 
     Raises:
         RecordingError: the file cannot be written.

@@ -44,7 +44,10 @@ def effort_of(log: Log, declared: str | None) -> str | None:
 def with_joint_torque(log: Log, robot: RobotDescription, meaning: str | None) -> Log:
     """The log with joint torque as effort, or without any where it is no torque; its metadata say what it was.
 
-    Motor currents i become τ = Cᵀ diag(g k) i where the robot has torque constants k.
+    Args:
+        log: as it was recorded.
+        robot: with torque constants k, motor currents i become τ = Cᵀ diag(g k) i.
+        meaning: what the log's effort is; None: the log stays as it is.
     """
     if log.effort is None or meaning is None:
         return log

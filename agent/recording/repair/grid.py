@@ -71,17 +71,22 @@ def _rising(place: np.ndarray) -> np.ndarray:
     return rows + np.round(isotonic_regression(place - rows).x)
 
 
-def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """(S,) the numbers with each missing sample where positions (S, n) are smoothest and stamps least off.
+def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """(S,) the numbers with each missing sample where positions are smoothest and stamps least off.
 
-    `place` (S,) are the stamps in periods. Jitter hides the index of a missing sample by a few rows. Positions are near
-    a quintic through nine rows to either side; a cubic would not follow a start at 50 rad/s². Two adjacent missing
-    samples hide each other's index: if moving one leaves the rows rough, both are moved, or one is moved further.
+    Jitter hides the index of a missing sample by a few rows. Positions are near a quintic through nine rows to either
+    side; a cubic would not follow a start at 50 rad/s². Two adjacent missing samples hide each other's index: if moving
+    one leaves the rows rough, both are moved, or one is moved further.
+
+    Args:
+        number: (S,) of the samples.
+        periods: (S,) stamps in periods.
+        position: (S, n).
     """
     if len(number) < _AROUND:
         return number
     number = number.copy()
-    near = number - number[0], place - place[0]
+    near = number - number[0], periods - periods[0]
     spread = max(float(np.std(near[0] - near[1])), 1e-3)
     noise = np.median(np.abs(np.diff(position, 4, axis=0)), axis=0) / 5.6  # of white noise σ: √70 σ · 0.67
     steps = np.abs(np.diff(position, axis=0))
@@ -95,7 +100,7 @@ def settled(number: np.ndarray, place: np.ndarray, position: np.ndarray) -> np.n
     for _ in range(_ROUNDS):
         for hole in np.flatnonzero(np.diff(number) > 1).tolist():
             first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
-            rows, stamps, here, before = scaled[first:stop], place[first:stop], hole - first, number[first:stop]
+            rows, stamps, here, before = scaled[first:stop], periods[first:stop], hole - first, number[first:stop]
             if (hole, before.tobytes()) in seen:
                 continue  # as it was in the round before, which left it so
             trials = _moved(before, here)
