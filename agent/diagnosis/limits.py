@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+import numpy as np
+
 
 @dataclass(frozen=True)
 class Limit:
@@ -94,6 +96,9 @@ class DecisionLimits:
     least_error: float = known(
         0.01, "RMS torque", "expected of a simulator's file, however little its numbers moved leave", "chosen"
     )
+    of_the_middle: float = known(
+        1.5, "relative error of the joint in the middle", "expected of every joint of a simulator's file", "chosen"
+    )
     least_travel: float = known(3e-3, "rad or m", "that a joint travels in one log, or it never moves", "chosen")
 
     # Segments of time
@@ -107,6 +112,10 @@ class DecisionLimits:
     )
     blocks: int = known(5, "parts", "of a log that is compared with itself", "chosen")
     shortest: float = known(3.0, "s", "of the only log", "chosen: five folds with guards")
+
+    def expected_share(self, relative: np.ndarray) -> float:
+        """Share of torque that a right simulator's file leaves on every joint, where its numbers leave these (n,)."""
+        return float(np.clip(self.of_the_middle * np.median(relative), self.least_error, self.unknown_error))
 
     @property
     def weak_model(self) -> float:

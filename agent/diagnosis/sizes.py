@@ -14,7 +14,7 @@ from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.model import CATALOGUE
 
 _ROUNDING = 1e-9  # of a parameter: it is the same in every fold
-_LEAST_DEGREES = 3  # of freedom of Student's t
+_LEAST_DEGREES = 3  # derived: with fewer degrees of freedom Student's t has no variance
 _SCALES = {"s": (1e3, "ms"), "rad": (1e3, "mrad")}  # where the figure is small
 
 

@@ -25,7 +25,6 @@ from agent.simulators import SIMULATOR
 _STANDS = 0.01  # rad or m: brakes give
 _LEAST = 1.0  # s
 _OUTLIER = 5.0  # standard errors: a log of another day says no more against any hypothesis
-_SWINGS = 0.05  # of nominal torque, standard deviation: a channel without current shows its noise
 _HOLDS = 0.3  # of the torque that holds the arm: so near to it
 _BEYOND = 1.0  # of nominal torque: no zero of a channel
 _NOTABLE = 0.02  # of nominal torque: more shows
@@ -85,7 +84,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     again = "switch the drives off, let the brakes hold the arm, and record again"
     for joint, entry in enumerate(robot.joints):
         unit = "N" if entry.prismatic else "N·m"
-        if swing[joint] > _SWINGS * nominal[joint]:
+        if swing[joint] > LIMITS.negligible * nominal[joint]:
             raise InputError(
                 f"{log.name}: the torque of {entry.name} varies by {swing[joint]:.3g} {unit} (standard deviation) "
                 f"while the arm stands, which no motor without current does: {again}"

@@ -23,8 +23,11 @@ from agent.simulators import SIMULATOR
 _ROWS = 0.016  # numerical: s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _FORM = 100.0  # numerical: of σ² per noise column for a wrong form, at most: moments are of float32 columns
 _NOTICED = 0.01  # numerical: energy over σ² of a direction of the noise model that is kept
-_DRIFT = 3.0  # s between the nodes of a drift in time
+_DRIFT = 3.0  # numerical: s between the nodes of a drift in time
 _TURNING = 0.03  # of the highest speed, over which friction turns around
+#: Nodes of the smooth functions of a joint's position (each way, and by direction), speed (likewise), acceleration and
+#: time (at least).
+_NODES = {"position": 8, "position_turned": 5, "speed": 4, "speed_turned": 5, "acceleration": 5, "time": 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,11 +212,11 @@ def smooth_parts(
     drift = []
     for here in logs.T.astype(bool):
         low, high = float(time[here].min()), float(time[here].max())
-        drift.append(_hats(time, max(3, int((high - low) / _DRIFT) + 1), low, high) * here[:, None])
+        drift.append(_hats(time, max(_NODES["time"], int((high - low) / _DRIFT) + 1), low, high) * here[:, None])
     return {
-        "position": np.hstack([_hats(q, 8), sign * _hats(q, 5)]),
-        "speed": np.hstack([sign * _hats(speed, 5, 0.0), _hats(speed, 4, 0.0)]),
-        "acceleration": _hats(qdd, 5),
+        "position": np.hstack([_hats(q, _NODES["position"]), sign * _hats(q, _NODES["position_turned"])]),
+        "speed": np.hstack([sign * _hats(speed, _NODES["speed_turned"], 0.0), _hats(speed, _NODES["speed"], 0.0)]),
+        "acceleration": _hats(qdd, _NODES["acceleration"]),
         "time": np.hstack([logs, sign * logs, *drift]),
     }
 

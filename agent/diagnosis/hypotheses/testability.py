@@ -98,6 +98,6 @@ def _why_small(effect: Effect, size: float, given: bool, unit: str) -> str:
     if not given:
         return "no model was given: the fit to these logs absorbs it"
     text = f"it would be found from {100 * size * effect.practical:.1f} {unit} on"
-    if not size * effect.practical < 5:
+    if not size * effect.practical < 1:  # of nominal torque
         text = "no size would be found"
     return f"on these motions {text}, and it matters from {100 * effect.practical:.1f} {unit.split()[0]} on"

@@ -18,18 +18,20 @@ import numpy as np
 from agent.core import InputError
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
-from agent.diagnosis.rows.rounding import rounding_step
+from agent.diagnosis.rows.rounding import UNIFORM, rounding_step
 from agent.model import NominalModel, RigidFrictionModel, ball
 from agent.robot import ParameterLayout
 from agent.simulators import KINDS, FreeMotion, FreeSimulator, ServoNumbers
 
 Model = TypeVar("Model", bound=RigidFrictionModel)
 
-_ROUNDS, _TRIES = 30, 6
-_GAINED = 1e-3  # of the cost, below which a round is the last
+_ROUNDS, _TRIES = 30, 6  # numerical: at most, and steps that are tried in each
+_DAMPING, _STIFFER, _LOOSER = 1e-2, 5.0, 0.1  # numerical: of a step at first, after one that fails and one that gains
+_GAINED = 1e-3  # numerical: of the cost, below which a round is the last
 _LONGEST_DELAY = 0.6  # s
-_DELAY = 0.1  # s, prior deviation of a delay
-_LOAD = 4  # mass and first moments of a load at the last link
+USUAL_DELAY = 0.1  # s, standard deviation of a delay before the logs
+LOAD_NUMBERS = ("m0", "hx0", "hy0", "hz0")  # mass and first moments of a load at the last link
+_LOAD = len(LOAD_NUMBERS)
 _LIGHTEST = 1e-6  # kg, below which a load has no inertia
 
 
@@ -90,8 +92,10 @@ class OutputErrorFit:
 
 
 def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(5 n + 4,) of each number what would take all of its joint's torque; of kp itself, of a delay 0.1 s, of a load
-    what would take the strongest joint's at full reach."""
+    """(5 n + 4,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
+
+    Of a load it is what would take the strongest joint's torque at full reach.
+    """
     lag, speed, acceleration = [], [], []
     for stretch in stretches:
         asked = stretch.command.between(np.append(stretch.time, 2 * stretch.time[-1] - stretch.time[-2]), numbers.delay)
@@ -103,10 +107,10 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
         np.maximum(np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)), 1e-6) for part in (lag, speed, acceleration)
     )
     torque = torque * numbers.kp
-    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, np.full(len(torque), _DELAY)])
+    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, np.full(len(torque), USUAL_DELAY)])
     weight = max(float(np.linalg.norm(reference.robot.gravity)), 1.0)
     mass = float(torque.max()) / weight / reference.reach
-    return np.concatenate([servos.ravel(), mass * np.array([1.0, *[reference.reach] * 3])])
+    return np.concatenate([servos.ravel(), mass * np.array([1.0, *[reference.reach] * (_LOAD - 1)])])
 
 
 def position_step(stretches: Sequence[CommandedStretch]) -> np.ndarray:
@@ -143,14 +147,14 @@ def fit_output_error(
     basis, scale = parameters.basis, parameters.scale
     size = np.sqrt(np.maximum((basis**2 * scale[:, None] ** 2).sum(axis=0) / (basis**2).sum(axis=0), 1e-300))
     n, none = len(start.kp), np.zeros(_LOAD)
-    table, last = np.append(start.table, none), 5 * n
+    table, last = np.append(start.table, none), len(KINDS) * n
     first = _run(simulator, table, stretches)
     if first is None:
         raise InputError(f"{simulator.arm.path}: the simulator blows up under the recorded command as the file is")
     motions: list[FreeMotion] = first
-    sigma = np.hypot(position_step(stretches) / np.sqrt(12), LIMITS.least_error * usual_twist(motions, start.kp))
+    sigma = np.hypot(position_step(stretches) * np.sqrt(UNIFORM), LIMITS.least_error * usual_twist(motions, start.kp))
     x = np.linalg.lstsq(basis, table - np.append(file.table, none), rcond=None)[0]
-    weight, residuals = 1e-2, _left(stretches, motions)
+    weight, residuals = _DAMPING, _left(stretches, motions)
 
     def cost_of(residuals_at: Sequence[np.ndarray], at: np.ndarray) -> float:
         return sum(float(np.sum((residual / sigma) ** 2)) for residual in residuals_at) + float(
@@ -180,10 +184,10 @@ def fit_output_error(
                     drop = 1 - cost_now / cost
                     table, x, motions, residuals, cost = moved, x + step, now, left_now, cost_now
                     break
-            weight *= 5
+            weight *= _STIFFER
         if not drop:
             break
-        weight = max(weight / 10, 1e-8)
+        weight = max(weight * _LOOSER, 1e-8)
         progress(f"output error, round {number + 1}")
         if drop < gained:
             break
@@ -199,7 +203,7 @@ def _shape(load: np.ndarray) -> np.ndarray:
     """(10, 4) parameters of a link per unit of a point's mass and first moments (4,), exact at this one."""
     if load[0] < _LIGHTEST:
         return np.eye(10)[:, :_LOAD]
-    return ball({**dict(zip(("m0", "hx0", "hy0", "hz0"), map(float, load), strict=True)), "point_mass": 1.0})
+    return ball({**dict(zip(LOAD_NUMBERS, map(float, load), strict=True)), "point_mass": 1.0})
 
 
 def _loaded(reference: NominalModel, load: np.ndarray) -> NominalModel:

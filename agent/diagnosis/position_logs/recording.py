@@ -18,11 +18,9 @@ from agent.recording import Log
 from agent.robot import ParameterLayout
 from agent.simulators import FreeMotion, FreeSimulator, RecordedCommand, ServoNumbers
 
-_STEP = 5e-3  # s, at most, between the instants of the linearised motion
-_FEWEST = 50  # samples of a stretch that is used
-_FEWEST_ROWS = 3  # of a stretch that is used
+_STEP = 5e-3  # numerical: s, at most, between the instants of the linearised motion
+_LATER = 5e-4  # numerical: s, by which a command is moved to tell what a delay changes
 _FAR = 1.5  # rad or m from the set-points in the middle: they are of another unit or zero
-_MOVES = 1e-2  # rad or m that a joint travels to count as moving
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +101,11 @@ class LinearisedMotion:
         m, servos, n = self.motion, simulator.servos, self.motion.q.shape[1]
         free = ~m.limited
         edges = _around(m.time)
-        early, late = (self.stretch.command.between(edges, numbers.delay + sign * 5e-4) for sign in (-1, 1))
+        early, late = (self.stretch.command.between(edges, numbers.delay + sign * _LATER) for sign in (-1, 1))
         asked = np.clip(m.command, servos.least, servos.most)
-        by_delay = numbers.kp * (early - late) / 1e-3 * free
+        by_delay = numbers.kp * (early - late) / (2 * _LATER) * free
         parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, -(asked - m.q) * free, by_delay)
-        columns = np.empty((len(self.stretch.time[self.stretch.judged]), n, 5 * n))
+        columns = np.empty((len(self.stretch.time[self.stretch.judged]), n, len(parts) * n))
         for j in range(n):
             block = np.column_stack([part[:, j] for part in parts])
             columns[:, :, j::n] = self.response.of_torque({j: block})
@@ -148,19 +146,20 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
         known = np.all(np.isfinite(r), axis=1)
         for start, stop in log.segments:
             rows = np.flatnonzero(known[start:stop]) + start
-            if len(rows) < _FEWEST or len(rows) < stop - start - 2:
+            if len(rows) < LIMITS.fewest or len(rows) < stop - start - 2:
                 continue
             t, q = log.t[rows], log.position[rows]
             steps = np.array([rounding_step(column) for column in q.T])
-            speed = np.where(np.abs(q[1] - q[0]) > 1.5 * steps, q[1] - q[0], 0.0) / (t[1] - t[0])
+            more = np.abs(q[1] - q[0]) > 1.5 * steps  # derived: half way between one step of rounding and two
+            speed = np.where(more, q[1] - q[0], 0.0) / (t[1] - t[0])
             command, begins = RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed])
             stretch = CommandedStretch(index, t, q, command, begins, int(np.searchsorted(t, t[0] + settling)))
-            if len(t) - stretch.unsettled >= _FEWEST_ROWS * stretch.frames:
+            if len(t) - stretch.unsettled >= LIMITS.fewest * stretch.frames:
                 stretches.append(stretch)
     if not stretches:
         raise InputError(
-            f"{logs[0].path}: no stretch of {_FEWEST} samples, {_FEWEST_ROWS * LIMITS.independent:g} s of them after "
-            "the servos have settled, has positions and set-points on the same stamps; record longer, and record what "
+            f"{logs[0].path}: no stretch of {LIMITS.fewest * LIMITS.independent:g} s after the servos have settled "
+            "has positions and set-points on the same stamps; record longer, and record what "
             "was commanded together with the positions"
         )
     return tuple(stretches)
@@ -174,7 +173,7 @@ def _set_points(log: Log) -> np.ndarray:
             "needed, torque as current times torque constant, or set-points for the servos of the simulator's file"
         )
     known = np.all(np.isfinite(r), axis=1)
-    names, moving = np.array(log.joint_names), np.ptp(q, axis=0) > _MOVES
+    names, moving = np.array(log.joint_names), np.ptp(q, axis=0) > LIMITS.least_travel
     if not known.any():
         raise InputError(f"{log.path}: no sample has a set-point at its stamp; record them on the positions' stamps")
     copied = moving & np.all(r[known] == q[known], axis=0)
@@ -197,14 +196,14 @@ def lost_frames(stretches: Sequence[CommandedStretch], residuals: Sequence[np.nd
     """How many frames are missing without a gap in the stamps: from there on positions follow another set-point.
 
     A lost frame moves the command by one step against the positions for good; the residual shifts by the speed of the
-    command times one frame. Counted are shifts of the best lag between thirds of a stretch of at least half a frame.
+    command times one frame. Counted are shifts of the best lag between parts of a stretch of at least half a frame.
     """
     count = 0
     for stretch, residual in zip(stretches, residuals, strict=True):
         frame = float(np.median(np.diff(stretch.time)))
         speed = np.gradient(stretch.position, stretch.time, axis=0)[stretch.judged]
         lags = []
-        for part in np.array_split(np.arange(len(residual)), 3):
+        for part in np.array_split(np.arange(len(residual)), LIMITS.blocks):
             energy = float(np.sum(speed[part] ** 2))
             lags.append(float(np.sum(residual[part] * speed[part])) / energy if energy > 0 else 0.0)
         count += sum(abs(b - a) > 0.5 * frame for a, b in pairwise(lags))

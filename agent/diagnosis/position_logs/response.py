@@ -16,7 +16,7 @@ import numpy as np
 from agent.model import MotionSignals
 from agent.simulators import FreeMotion, ServoNumbers
 
-_AT_ONCE = 256  # columns that are stepped together
+_AT_ONCE = 256  # numerical: columns that are stepped together
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +65,17 @@ class LinearResponse:
         n = self.damping.shape[1]
         eye = np.eye(n)
         mass, slope = self.mass[:-1], self.stiffness[:-1]
-        before = 0.5 * h * (self.damping[:-1, :, None] * eye)
+        half = 0.5 * h
+        before = half * (self.damping[:-1, :, None] * eye)
         after = before + h * (self.at_once[:-1, :, None] * eye)
-        inverse = np.linalg.inv(mass + after + 0.25 * h**2 * slope)
+        inverse = np.linalg.inv(mass + after + half**2 * slope)
         from_q, push = -inverse @ (h * slope), -inverse * h
-        from_qd = inverse @ (mass - before - 0.25 * h**2 * slope)
+        from_qd = inverse @ (mass - before - half**2 * slope)
         size = 2 * n
         a, b = np.empty((len(h), size, size)), np.empty((len(h), size, n))
         a[:, n:, :n], a[:, n:, n:], b[:, n:] = from_q, from_qd, push
-        a[:, :n, :n], a[:, :n, n:] = eye + 0.5 * h * from_q, 0.5 * h * (eye + from_qd)
-        b[:, :n] = 0.5 * h * push
+        a[:, :n, :n], a[:, :n, n:] = eye + half * from_q, half * (eye + from_qd)
+        b[:, :n] = half * push
         return a, b
 
     def of_torque(self, columns: Mapping[int, np.ndarray]) -> np.ndarray:

@@ -15,7 +15,14 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.fitting import OutputErrorFit, missed, position_step, usual_twist, with_link
+from agent.diagnosis.position_logs.fitting import (
+    USUAL_DELAY,
+    OutputErrorFit,
+    missed,
+    position_step,
+    usual_twist,
+    with_link,
+)
 from agent.diagnosis.position_logs.recording import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of, segments_of
 from agent.diagnosis.rows.fit import Fit
@@ -26,7 +33,7 @@ from agent.recording import Log
 from agent.simulators import SimulatedArm, model_of
 
 _EXACT = 1e-6  # standard deviation of a number that may not move, over its usual change
-_USUAL_DELAY = 0.1  # s
+_LEAST = 1e-3  # numerical: of the largest value, usual change of one that is zero
 
 
 def assemble_positions(
@@ -43,7 +50,6 @@ def assemble_positions(
     fitted = with_link(model_of(at, bare, dict(model.provenance)), found.load)
     fitted = replace(fitted, held_out_rmse=error, residual_rmse=error)
     reference = NominalModel(fitted)
-    count = len(model.independent)
     away = np.concatenate(
         [
             fitted.base_values - model.base_values,
@@ -66,10 +72,10 @@ def assemble_positions(
     sigma = np.broadcast_to(error, (len(time), n)).copy()
     cell, folds, single = folds_of(time, log, logs)
     usual = np.concatenate(
-        [np.abs(model.values) + 1e-3 * np.abs(model.values).max(), given.kp, np.full(n, _USUAL_DELAY)]
+        [np.abs(model.values) + _LEAST * np.abs(model.values).max(), given.kp, np.full(n, USUAL_DELAY)]
     )
     covariance = np.diag((_EXACT * usual) ** 2)
-    index = [np.arange(count + 4 * n)] * n
+    index = [np.arange(len(usual))] * n
     block = segments_of(time, log, logs, LIMITS.block)
     rests = StandstillWhitening(tuple(() for _ in range(n)))
     precision = precision_of(covariance)
@@ -80,7 +86,7 @@ def assemble_positions(
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
     file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
-    servos = ServoParameters(covariance, given.kp, _USUAL_DELAY, file, step=found.simulator.step)
+    servos = ServoParameters(covariance, given.kp, USUAL_DELAY, file, step=found.simulator.step)
     return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
 
 
@@ -93,7 +99,7 @@ def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.n
     base = reference.model.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
     bodies = line.response.of_torque({j: base[:, j] for j in range(n)})
     kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(5)]
-    friction = np.stack([kinds[2], kinds[1]], axis=3).reshape(*kinds[1].shape[:2], 2 * n)
+    friction = np.stack([kinds[2], kinds[1]], axis=-1).reshape(*kinds[1].shape[:2], 2 * n)
     return np.concatenate([bodies, friction, kinds[3], kinds[4]], axis=2)
 
 
@@ -109,13 +115,13 @@ def _as_given(fit: OutputErrorFit) -> np.ndarray:
 def _expected_error(fit: OutputErrorFit) -> np.ndarray:
     """(n,) [rad or m] what is expected of a right file: the rounding of positions, and a share of the torque.
 
-    The share is that of the joint in the middle, as with torque (`explanation.with_expected_error`).
+    The share is that of the joint in the middle, as with torque (`expected_share`).
     """
     rounding = _rounding(fit)
     twist = usual_twist([line.motion for line in fit.motions], fit.numbers.kp)
     rows = [stretch.averaged(residual) for stretch, residual in zip(fit.stretches, fit.residuals, strict=True)]
     residual = np.sqrt(np.maximum(np.mean(np.concatenate(rows) ** 2, axis=0) - rounding**2, 0.0))
-    share = float(np.clip(1.5 * np.median(residual / twist), LIMITS.least_error, LIMITS.unknown_error))
+    share = LIMITS.expected_share(residual / twist)
     return np.hypot(rounding, share * twist)
 
 

@@ -11,11 +11,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from agent.core import InputError
 from agent.data_quality import unsigned_torque
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.fitting import OutputErrorFit, Parameters, fit_output_error, usual_scale
+from agent.diagnosis.position_logs.fitting import (
+    LOAD_NUMBERS,
+    OutputErrorFit,
+    Parameters,
+    fit_output_error,
+    usual_scale,
+)
 from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
 from agent.diagnosis.position_logs.rows import assemble_positions
 from agent.diagnosis.rows.needs import MotionCoverage
@@ -24,10 +32,7 @@ from agent.model import MotionSignals, NominalModel
 from agent.recording import HELD, HOLD, SMOOTH, Log
 from agent.simulators import FreeSimulator, Simulator
 
-_ROUGH, _FINE = 0.05, 1e-3  # of the cost: a fit gains less in its last round
-_CHANCE = 1.92  # of a log-likelihood: χ² of one number at 95 %, halved (Wilks)
-_CHANCE_OF_LOAD = 4.74  # the same of four numbers
-_SETTLED = 4.0  # time constants of a servo, after which 2 % of a start is left
+_ROUGH = 0.05  # numerical: of the cost: a fit to start from gains less in its last round
 _SETTLES = 1.0  # s at most
 _REVERSALS = 2  # of a joint, below which its numbers are not told
 
@@ -107,7 +112,9 @@ def _fitted(
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
     file = free.numbers
-    settling = min(_SETTLED * float(np.max(file.damping / np.maximum(file.kp, 1e-9))), _SETTLES)
+    # of a start that fades with e^(-t / T), what counts as nothing is left
+    lasting = -float(np.log(LIMITS.negligible)) * float(np.max(file.damping / np.maximum(file.kp, 1e-9)))
+    settling = min(lasting, _SETTLES)
     fits: list[OutputErrorFit] = []
     for way in ways:
         stretches = stretches_of(logs, way == HELD, settling)
@@ -118,14 +125,15 @@ def _fitted(
             fixed = Parameters.create(scale, fixed=("kp",))
             start = fit_output_error(free, reference, stretches, file, file, fixed, progress, _ROUGH).numbers
         parameters = Parameters.create(scale, fixed=("kp",) if known_kp else ())
-        fits.append(fit_output_error(free, reference, stretches, file, start, parameters, progress, _FINE))
+        fits.append(fit_output_error(free, reference, stretches, file, start, parameters, progress))
     if len(fits) == 1:
         return fits[0], "", 0.0
     held, smooth = fits
     gain = _gain(held, smooth)
-    if gain > _CHANCE:
+    chance = _by_chance(1)
+    if gain > chance:
         return smooth, SMOOTH, 0.0
-    return held, HELD, 0.0 if gain < -_CHANCE else float(np.mean(smooth.numbers.delay - held.numbers.delay))
+    return held, HELD, 0.0 if gain < -chance else float(np.mean(smooth.numbers.delay - held.numbers.delay))
 
 
 def _loaded(
@@ -139,14 +147,19 @@ def _loaded(
     scale, kept = usual_scale(reference, fit.numbers, stretches), ("kp",) if known_kp else ()
     parameters = Parameters.create(scale, fixed=kept, load=True)
     start = replace(file, delay=fit.numbers.delay)
-    other = fit_output_error(fit.simulator, reference, stretches, file, start, parameters, progress, _FINE)
-    return other if _gain(fit, other) > _CHANCE_OF_LOAD else fit
+    other = fit_output_error(fit.simulator, reference, stretches, file, start, parameters, progress)
+    return other if _gain(fit, other) > _by_chance(len(LOAD_NUMBERS)) else fit
 
 
 def _gain(fit: OutputErrorFit, other: OutputErrorFit) -> float:
     """Log-likelihood that another fit gains, where the error of each joint is unknown."""
     lasting = sum(float(stretch.time[-1] - stretch.time[0]) for stretch in fit.stretches)
     return lasting / LIMITS.independent * float(np.sum(np.log(fit.rmse) - np.log(other.rmse)))
+
+
+def _by_chance(count: int) -> float:
+    """Log-likelihood that `count` numbers which change nothing gain at most, by half a χ² (Wilks)."""
+    return float(chdtri(count, 1 - LAW.certain)) / 2
 
 
 def _frame(stretches: Sequence[CommandedStretch]) -> float:

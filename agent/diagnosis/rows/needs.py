@@ -11,7 +11,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.standstill import moves
 from agent.model import Effect, MotionSignals
 
-_METRES = 0.1  # of a slide that count as a radian
+_METRES = 0.1  # derived: the unit of `Effect.needs_travel` where a joint slides [m]
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from agent.recording import Log
 
 _POSTURES = 20  # numerical: of a log, for its mean inertia
 _ON_GRID = 0.01  # numerical: steps off the grid that count as on it
-_UNIFORM = 1 / 12  # derived: variance of an error within half a step, in steps squared
+UNIFORM = 1 / 12  # derived: variance of an error within half a step, in steps squared
 _FIFTH = 1 / 5  # derived: ∫₀¹ x⁴ dx
 
 
@@ -26,7 +26,7 @@ def rounding_noise(reference: NominalModel, logs: Sequence[Log], cutoff: float) 
     largest = np.zeros(reference.robot.dof)
     for log in logs:
         step = np.array([rounding_step(column) for column in log.position.T])
-        variance = _UNIFORM * step**2 * (2 / log.sample_rate) * _FIFTH * (2 * np.pi) ** 4 * cutoff**5
+        variance = UNIFORM * step**2 * (2 / log.sample_rate) * _FIFTH * (2 * np.pi) ** 4 * cutoff**5
         every = max(1, len(log.position) // _POSTURES)
         inertia = np.mean([reference.solid.mass_matrix(q) for q in log.position[::every]], axis=0) + rotors
         noise = inertia**2 @ variance

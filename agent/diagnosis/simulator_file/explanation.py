@@ -44,7 +44,6 @@ from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR
 
-_OF_THE_MIDDLE = 1.5  # times the relative error of the joint in the middle is expected of every joint
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
 #: Effects that do not show in motion, or are numbers of servos there.
@@ -263,5 +262,4 @@ def _expected(dataset: Dataset, residual: np.ndarray) -> float:
     """Remaining share of torque on a usual joint, of errors (S', n) [N·m]; the same is expected of other joints."""
     error = np.sqrt(np.nanmean(residual**2, axis=0))
     torque = np.concatenate([log.effort for log in dataset.logs if log.effort is not None])
-    relative = error / np.maximum(np.std(torque, axis=0), 1e-9)
-    return float(np.clip(_OF_THE_MIDDLE * np.median(relative), LIMITS.least_error, LIMITS.unknown_error))
+    return LIMITS.expected_share(error / np.maximum(np.std(torque, axis=0), 1e-9))
