@@ -3,16 +3,19 @@
 A number is a constant other than -1, 0, 1 and 2 (½ in formulas) in `agent/diagnosis`, `agent/experiment` and
 `agent/model/effects`; a grid is one number. Left out are guards of divisions (at most 1e-6 or at least 1e6), numbers in
 texts, exponents, factors of 100 and 1000, and counts that subscripts and shapes need. Each is halved and doubled while
-a fixed set of small runs is diagnosed: machines of the emulator and of the second world with two joints, and logs of
-real arms. Of a share above one half the complement is varied, of a factor between 1 and 1.5 what exceeds 1.
+up to three small runs of a fixed set are diagnosed that come to it: machines of the emulator and of the second world
+with two joints, other ways to record, and logs of real arms. Of a share above one half the complement is varied, of a
+factor between 1 and 1.5 what exceeds 1.
 
-There are three kinds:
+There are four kinds:
 
 - A derived number follows from a formula or a definition. Its comment, or its source, begins with "derived:".
 - A numerical one says how exactly or how fast something is computed that has a value without it: a batch, a step, an
   iteration limit, the points of a grid whose best is refined. It has a name next to the algorithm and a comment that
   begins with "numerical:". That is a claim, so it counts as such only once halving and doubling it changes nothing in
   runs that reach it; a test fails if it changes anything.
+- A number of figures belongs to a package that no deciding module imports, such as the run forward of a corrected
+  simulator. A test holds the imports.
 - All others decide.
 
 Results are kept in `docs/measured/numbers.csv`, so that an interrupted run goes on where it stopped:
@@ -34,9 +37,10 @@ import sys
 import tempfile
 import time
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -48,9 +52,12 @@ SHARED = ROOT.parent / "shared/data"
 PACKAGES = ("agent/diagnosis", "agent/experiment", "agent/model/effects")
 TABLE, PAGE = ROOT / "docs/measured/numbers.csv", ROOT / "docs/measured/numbers.md"
 RUNS = ROOT / "build/numbers/runs.pkl"
+#: Packages that no deciding module imports: their numbers are of figures next to an answer.
+FIGURES = ("agent/diagnosis/forward",)
 COLUMNS = ("number", "value", "runs", "executed", "half_answers", "half_probabilities", "double_answers",
            "double_probabilities")  # fmt: skip
 _MOVED = 0.05  # of a probability that counts as changed
+ENOUGH = 3  # runs that reach a number, in which it is varied
 _CYCLE, _RATE = 3.0, 250.0  # s and Hz of the emulator's motions
 
 
@@ -246,6 +253,8 @@ def varied(value: Any, factor: float) -> Any:
         return type(value)(varied(each, factor) for each in value)
     if isinstance(value, np.ndarray):
         return value * factor
+    if isinstance(value, dict):
+        return {key: varied(each, factor) for key, each in value.items()}
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return value
     if isinstance(value, int):
@@ -320,7 +329,36 @@ def changed(site: Site, factor: float) -> Iterator[None]:
             for name, other in list(sys.modules.items()):
                 if name.startswith("agent.") and vars(other).get(site.name) is value:
                     undo.enter_context(mock.patch.object(other, site.name, new_value))
+                    for owner, follower, now in list(_followers(other, site.name)):
+                        undo.enter_context(mock.patch.object(owner, follower, now))
+        undo.callback(_forget, module)
+        _forget(module)
         yield
+
+
+def _followers(module: Any, name: str) -> Iterator[tuple[Any, str, Any]]:
+    """What a module and its classes work out of a constant when they are loaded: owner, name and value as of now."""
+    changed_names, scope = {name}, dict(vars(module))
+
+    def again(body: Sequence[ast.stmt], owner: Any, local: dict[str, Any]) -> Iterator[tuple[Any, str, Any]]:
+        for node in body:
+            target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+            if isinstance(target, ast.Name) and target.id != name and (value := getattr(node, "value", None)):
+                if changed_names & {n.id for n in ast.walk(value) if isinstance(n, ast.Name)}:
+                    local[target.id] = eval(compile(ast.Expression(value), module.__file__, "eval"), scope | local)
+                    changed_names.add(target.id)
+                    yield owner, target.id, local[target.id]
+            elif isinstance(node, ast.ClassDef):
+                yield from again(node.body, scope[node.name], dict(vars(scope[node.name])))
+
+    yield from again(ast.parse(Path(module.__file__).read_text("utf-8")).body, module, scope)
+
+
+def _forget(module: Any) -> None:
+    """Empty the caches of functions, which would answer with the number as it was."""
+    for entry in vars(module).values():
+        if hasattr(entry, "cache_clear"):
+            entry.cache_clear()
 
 
 def _singletons(kind: type) -> list[Any]:
@@ -343,21 +381,96 @@ class Run:
     robot: Any
     model: Any
     logs: tuple[Any, ...]
+    drives_off: Any = None
+    file: str = ""
 
 
-def make_runs() -> list[Run]:
-    """The fixed set, in an order that mixes its kinds: every part of it has some of each."""
-    groups = [list(_emulated()), list(_second_world()), list(_real())]
-    return _mixed(groups)
+def make_runs(count: int) -> list[Run]:
+    """The first of the fixed set: some have one effect or another way to record, the others are drawn."""
+    groups = (_chosen(), _others(), _mixed([_emulated(), _second_world(), _real()]))
+    return list(islice(_mixed(groups), count))
 
 
-def _mixed(groups: Sequence[Sequence[Run]]) -> list[Run]:
-    placed = [
-        ((place + 0.5) / len(group), number, place)
-        for number, group in enumerate(groups)
-        for place in range(len(group))
-    ]
-    return [groups[number][place] for _, number, place in sorted(placed)]
+def _mixed(groups: Iterable[Iterator[Run]]) -> Iterator[Run]:
+    """One of each in turn, while there are some."""
+    waiting = list(groups)
+    while waiting:
+        for group in list(waiting):
+            try:
+                yield next(group)
+            except StopIteration:
+                waiting.remove(group)
+
+
+#: Effects of the emulator that have numbers of their own.
+_EFFECTS = (
+    "contact",
+    "backlash",
+    "joint_elasticity",
+    "torque_ripple",
+    "time_delay",
+    "dress_pack",
+    "payload",
+    "thermal",
+)
+_PUSH = {"effect": "contact", "parameters": {"force": (20.0, -40.0, 60.0), "start": 2.0, "duration": 0.8}}
+
+
+def _chosen() -> Iterator[Run]:
+    """Two-joint arms of the emulator with one effect each."""
+    from fake_controller.actuation import EFFECTS
+    from fake_controller.withheld.cases import Mix, draw_cases
+
+    for name in (name for stem in _EFFECTS for name in EFFECTS if name.startswith(stem)):
+        robot, model = _healthy(7)
+        mix = Mix({"none": 0.0, "one": 1.0, "two": 0.0, "outside": 0.0}, (1.0, 2.0), (name,))
+        effects = [_PUSH] if name == "contact" else next(iter(draw_cases(1, 21, robot, mix))).effects
+        yield Run(f"emulator {name}", robot, model, _logs(robot, 7, 70, effects))
+
+
+def _others() -> Iterator[Run]:
+    """Other ways to record: positions alone, a simulator's file, another rate, the drives off, torque that is held."""
+    from tests.diagnosis.test_position_logs import ARM, recorded
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.xml"
+        path.write_text(ARM, encoding="utf-8")
+        positions = tuple(recorded(path, phase, late=0.06, friction=3.0) for phase in (1, 2))
+    yield Run("position_logs", None, None, positions, file=ARM)
+    robot, model = _healthy(8)
+    logs = _logs(robot, 8, 80, ())
+    yield Run("simulator_file", robot, None, logs, file=robot.urdf)
+    faster = [replace(log, planned_position=_resampled(log.planned_position, log.t, 1.01 * log.t)) for log in logs]
+    yield Run("motion_gap", robot, model, tuple(faster))
+    shift = 6.0 * (np.arange(robot.dof) == 1)
+    still = replace(
+        logs[0], position=0 * logs[0].position + logs[0].position[:1], velocity=0 * logs[0].velocity,
+        effort=shift + 0.05 * np.random.default_rng(2).normal(size=logs[0].position.shape), reference_position=None,
+    )  # fmt: skip
+    offset = tuple(replace(log, effort=log.effort + shift) for log in logs)
+    yield Run("drives_off", robot, model, offset, drives_off=still)
+    held = [replace(log, effort=np.clip(log.effort, None, np.quantile(log.effort, 0.8, axis=0))) for log in logs]
+    yield Run("held_torque", robot, model, tuple(held))
+
+
+def _resampled(values: np.ndarray, time: np.ndarray, when: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(when, time, column) for column in values.T], axis=1)
+
+
+def _healthy(machine: int) -> tuple[Any, Any]:
+    """The emulator's two-joint arm and the model of its healthy logs."""
+    from agent.estimation import estimate
+    from agent.robot import Joint, RobotDescription
+
+    robot = _two_joints(Joint, RobotDescription)
+    return robot, estimate(robot, list(_logs(robot, machine, machine, ())))
+
+
+def _logs(robot: Any, machine: int, motion: int, effects: Any) -> tuple[Any, ...]:
+    from fake_controller.plant import Plant
+
+    plant = Plant(robot, seed=machine, effects=effects, period=1 / _RATE)
+    return tuple(_recorded(plant, f"l{motion + k}", motion + k) for k in range(2))
 
 
 def _emulated() -> Iterator[Run]:
@@ -512,10 +625,18 @@ class Answer:
 def answer_of(data: bytes) -> Answer:
     """Of one run, from its pickle, so that nothing that is remembered in it survives."""
     from agent.diagnosis import diagnose
+    from agent.simulators import load_simulator
 
-    _, robot, model, logs = pickle.loads(data)
+    run = pickle.loads(data)
     try:
-        result = diagnose(robot, logs, model).result
+        if run.file:
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder) / ("arm.xml" if "<mujoco" in run.file else "arm.urdf")
+                path.write_text(run.file, encoding="utf-8")
+                simulator = load_simulator(path, run.robot, run.logs[0].joint_names, None)
+                result = diagnose(run.robot, run.logs, simulator.model, simulator=simulator).result
+        else:
+            result = diagnose(run.robot, run.logs, run.model, drives_off=run.drives_off).result
     except Exception as error:  # a number that makes it fail changes the answer
         return Answer((type(error).__name__,), 0.0)
     first = result["causes"][0] if result["causes"] else {}
@@ -530,42 +651,48 @@ class Bench:
     def __init__(self, count: int):
         RUNS.parent.mkdir(parents=True, exist_ok=True)
         if not RUNS.exists():
-            RUNS.write_bytes(pickle.dumps([pickle.dumps((r.name, r.robot, r.model, r.logs)) for r in make_runs()]))
-        self.data = pickle.loads(RUNS.read_bytes())[:count]
+            RUNS.write_bytes(pickle.dumps([(run.name, pickle.dumps(run)) for run in make_runs(count)]))
+        named = pickle.loads(RUNS.read_bytes())[:count]
+        self.names, self.data = [name for name, _ in named], [data for _, data in named]
         self.usual: list[Answer] = []
         self.lines: list[set[tuple[str, int]]] = []
-        for data in self.data:
-            answer_of(data)  # compiled, and caches of modules filled
+        for name, data in named:
             answer, lines = self._traced(data)
+            print(name, answer, flush=True)
             self.usual.append(answer)
             self.lines.append(lines)
 
     def _traced(self, data: bytes) -> tuple[Answer, set[tuple[str, int]]]:
-        seen: set[tuple[str, int]] = set()
-        watched = tuple(str(ROOT / package) for package in PACKAGES)
+        """Answer of a run, and the lines that it comes to."""
+        from coverage import Coverage
 
-        def local(frame: Any, event: str, _: Any) -> Any:
-            seen.add((frame.f_code.co_filename, frame.f_lineno))
-            return local
-
-        def trace(frame: Any, event: str, _: Any) -> Any:
-            return local(frame, event, _) if frame.f_code.co_filename.startswith(watched) else None
-
-        sys.settrace(trace)
+        for module in [m for name, m in list(sys.modules.items()) if name.startswith("agent.")]:
+            _forget(module)
+        watch = Coverage(data_file=None, source=[str(ROOT / package) for package in PACKAGES])
+        watch.start()
         try:
-            return answer_of(data), seen
+            answer = answer_of(data)
         finally:
-            sys.settrace(None)
+            watch.stop()
+        seen = watch.get_data()
+        return answer, {(path, line) for path in seen.measured_files() for line in seen.lines(path) or ()}
 
     def executed(self, site: Site) -> list[int]:
-        """Runs that come to a line that reads the number."""
+        """Runs that come to a line that reads the number, at most `ENOUGH`: those of its effect or way to record, then
+        some of all."""
         lines = self._readers(site)
-        return [number for number, seen in enumerate(self.lines) if lines & seen]
+        reaching = [number for number, seen in enumerate(self.lines) if lines & seen]
+        own = [k for k in reaching if self.names[k].split()[-1] in site.path]
+        others = [k for k in reaching if k not in own]
+        others = [k for k in others if " " in self.names[k]] or others  # other ways to record are for what they reach
+        spread = np.unique(np.linspace(0, len(others) - 1, max(ENOUGH - len(own), 0)).astype(int)) if others else ()
+        return [*own, *(others[k] for k in spread)][:ENOUGH]
 
     def _readers(self, site: Site) -> set[tuple[str, int]]:
         if site.symbol is None:
             return {(str(ROOT / site.path), line) for line in self._span(site)}
-        return self._by_symbol.get(site.symbol, set())
+        lines = self._by_symbol.get(site.symbol, set())
+        return {at for at in lines if at[0] == str(ROOT / site.path)} if site.symbol.startswith("_") else lines
 
     def _span(self, site: Site) -> set[int]:
         """Lines of the statements that hold an inline number."""
@@ -616,6 +743,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--runs", type=int, default=0, help="of the fixed set; 0 measures nothing")
     arguments.add_argument("--seconds", type=float, default=float("inf"), help="CPU seconds, after which it stops")
+    arguments.add_argument("--only", default="", help="regular expression of numbers")
     asked = arguments.parse_args()
     known, rows = sites(), table()
     rows = {
@@ -626,7 +754,8 @@ def main() -> None:
     bench = Bench(asked.runs) if asked.runs else None
     began = time.process_time()
     for site in sorted(known, key=_last) if bench else ():
-        if int(rows[site.key]["runs"]) < len(bench.data) and time.process_time() - began < asked.seconds:
+        wanted = re.search(asked.only, site.key) and not site.path.startswith(FIGURES) and site.claims != "derived"
+        if wanted and int(rows[site.key]["runs"]) < len(bench.data) and time.process_time() - began < asked.seconds:
             rows[site.key] = bench.measured(site)
             print(rows[site.key], round(time.process_time() - began), flush=True)
             _write(list(rows.values()))
@@ -643,7 +772,9 @@ def _last(site: Site) -> int:
 
 
 def kind_of(site: Site, row: dict[str, Any]) -> str:
-    """What a number is: derived, numerical, or one that decides."""
+    """What a number is: derived, numerical, of figures, or one that decides."""
+    if site.path.startswith(FIGURES):
+        return "figures"
     if site.claims != "numerical":
         return site.claims or "decides"
     return "numerical" if int(row["runs"]) and int(row["executed"]) and not _changes(row) else "decides"
@@ -657,7 +788,7 @@ def _changes(row: dict[str, Any]) -> int:
 def page(rows: Sequence[dict[str, Any]]) -> str:
     """Markdown text of the table."""
     known = {site.key: site for site in sites()}
-    of_kind: dict[str, list[dict[str, Any]]] = {"decides": [], "numerical": [], "derived": []}
+    of_kind: dict[str, list[dict[str, Any]]] = {"decides": [], "numerical": [], "derived": [], "figures": []}
     for row in rows:
         of_kind[kind_of(known[row["number"]], row)].append(row)
     deciding = of_kind["decides"]
@@ -673,12 +804,14 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
         "",
         f"{len(deciding)} numbers decide: {len(measured)} measured, of which {sum(map(bool, map(_changes, measured)))} "
         f"change an answer or a probability and {len(idle)} are in code that no run reaches. "
-        f"{len(of_kind['numerical'])} are numerical and {len(of_kind['derived'])} derived.",
+        f"{len(of_kind['numerical'])} are numerical, {len(of_kind['derived'])} derived and "
+        f"{len(of_kind['figures'])} of figures.",
     ]
     for package in PACKAGES:
         text += _table(package, [row for row in deciding if known[row["number"]].path.startswith(f"{package}/")], known)
     text += _table("Numerical: halved and doubled, they change nothing", of_kind["numerical"], known)
     text += _table("Derived from a formula or a definition", of_kind["derived"], known)
+    text += _table("Of figures: no verdict, cause or probability is made of them", of_kind["figures"], known)
     return "\n".join([*text, ""])
 
 

@@ -17,6 +17,7 @@ from .forward_simulation import (
 )
 from .free_motion import (
     KINDS as KINDS,
+    LOST as LOST,
     FreeMotion as FreeMotion,
     FreeSimulator as FreeSimulator,
     RecordedCommand as RecordedCommand,

@@ -22,7 +22,7 @@ from agent.simulators.arm import SimulatedArm
 from agent.simulators.mjcf import compiled, mujoco_package
 from agent.simulators.servos import PositionServos
 
-_LOST = 1e3  # rad/s or m/s: a simulator that has blown up
+LOST = 1e3  # rad/s or m/s: a simulator that has blown up
 _HOLD = 1e6  # armature that holds a joint that is not compared, over the arm's mass
 _COARSEST = 2e-3  # s, of a step; the file's own where that is shorter
 
@@ -234,7 +234,7 @@ class FreeSimulator:
         after, _ = self._rollout([model], [data], state[None], inputs[None], control_spec=spec)
         states = np.concatenate([state[None], after[0]])
         place, speed = states[:, 1 + self._at], states[:, 1 + model.nq + self._dof]
-        if not np.all(np.abs(speed) < _LOST):
+        if not np.all(np.abs(speed) < LOST):
             return None
         torque = self._servos(numbers).torque(asked, place[:-1], speed[:-1])
         low, high = self.servos.low, self.servos.high

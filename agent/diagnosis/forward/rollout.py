@@ -16,13 +16,12 @@ import numpy as np
 
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.robot import ParameterLayout
-from agent.simulators import Simulator, compiled, mujoco_package
+from agent.simulators import LOST, Simulator, compiled, mujoco_package
 
 #: (seconds since the start, q (n,), q̇ (n,)) → torque of the motors (n,) [N·m].
 Drive = Callable[[float, np.ndarray, np.ndarray], np.ndarray]
 
-_LOST = 1e3  # rad/s or m/s: a simulator that has blown up
-_STEP = 1e-3  # s, of the URDF's roll-out
+STEP = 1e-3  # s, of the URDF's roll-out
 _HOLD = 1e6  # armature that holds a joint, over the arm's mass
 
 
@@ -63,7 +62,7 @@ class MujocoEngine:
                     given = drive(data.time, data.qpos[self._at], data.qvel[self._dof])
                     data.qfrc_applied[self._dof] = given
                     mujoco.mj_step(model, data)
-                    if not np.abs(data.qvel).max() < _LOST:
+                    if not np.abs(data.qvel).max() < LOST:
                         states[:, row:] = np.nan
                         return states[0], states[1]
                 states[:, row] = data.qpos[self._at], data.qvel[self._dof]
@@ -93,12 +92,12 @@ class ChainEngine:
 
     def run(self, q: np.ndarray, qd: np.ndarray, drive: Drive, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q, v, a, now = q.copy(), qd.copy(), np.zeros(len(q)), 0.0
-        extra = None if self._effects is None else self._effects["Effects"](dt=_STEP)
+        extra = None if self._effects is None else self._effects["Effects"](dt=STEP)
         if extra is not None:
             extra.armature = np.zeros(len(q))  # part of the arm here
         states = np.empty((2, len(times), len(q)))
         for row, until in enumerate(times):
-            while now < until - 0.5 * _STEP:
+            while now < until - 0.5 * STEP:
                 torque = drive(now, q, v)
                 if extra is not None:
                     load = self._links.inverse_dynamics(q[None], v[None], a[None])[0]
@@ -106,10 +105,10 @@ class ChainEngine:
                     torque = torque - extra.torque(q, v, a, load, self._links.mass_matrix(q), slope)
                 size = np.maximum(np.abs(v), 1e-9 * self._reversal)
                 damping = self._coulomb * np.tanh(size / self._reversal) / size + self._viscous
-                a = np.array(self._accelerate(q, v, torque - damping * v, damping * _STEP))
-                v = v + _STEP * a
-                q = q + _STEP * v
-                now += _STEP
+                a = np.array(self._accelerate(q, v, torque - damping * v, damping * STEP))
+                v = v + STEP * a
+                q = q + STEP * v
+                now += STEP
             states[:, row] = q, v
         return states[0], states[1]
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.diagnosis.extension import extended_model
+from agent.diagnosis.forward.rollout import STEP
 from agent.estimation import FilterSettings, Motion, bands, motions, smooth_and_differentiate
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, NominalModel, effect_torque
 from agent.simulators import ForwardSimulation, RigidActuation, ServoGains
@@ -161,7 +162,7 @@ class _Arm:
             RigidActuation(**self._friction),
             self._gains(),
             period=period,
-            inner_rate=max(1000.0, motion.rate),
+            inner_rate=max(1 / STEP, motion.rate),
             external=external,
         )
         simulation.rest(self.set_points[0])

@@ -19,7 +19,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, known_effects
 from agent.diagnosis.rows.fit import Fit
 
-_WINDOWS = tuple(LIMITS.independent * 2.0**k for k in range(-1, 4))  # s
+_WINDOWS = tuple(LIMITS.independent * 2.0**k for k in range(-1, 4))  # numerical: s
 _QUARTILE = float(ndtri(3 / 4))  # derived: half of normal errors are smaller, in standard deviations
 SAME_MOTIONS = "the same motions"  # to record again
 

@@ -27,7 +27,6 @@ from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
-_MOVED = 100  # standard deviations in the file, from where on a base parameter has moved
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
 _GAIN_KNOWN = 0.1  # of a servo's gain, standard deviation from where on positions do not tell it
 #: The remaining gap, as the last step.
@@ -374,7 +373,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
         else:
             bodies.append(group)
     if bodies:
-        known = np.abs(change[:base]) > _MOVED * model.standard_deviations[:base]
+        known = np.abs(change[:base]) > LIMITS.deviations * model.standard_deviations[:base]
         parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}
         causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))

@@ -17,7 +17,7 @@ from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 
 _EDGE = 0.15  # share of the duration over which a force rises, and falls
-_LINKS = 3  # links tried for the case that all pushes act on one link
+_LINKS = 3  # numerical: links tried for the case that all pushes act on one link
 _DURATIONS = np.geomspace(0.2, 12.0, 14).tolist()  # s
 _STARTS = 0.05  # numerical: s between starts of windows
 _MOST_OF_LOG = 0.8  # largest share of its log that a push takes: a longer one is no event
@@ -25,12 +25,13 @@ _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of this length; 
 _SHARP = 100.0  # the same factor for a push that may repeat with the cycle, next to one that does not
 _FROM_START = 20.0  # the same factor for a push that starts with the log, with no quiet time before it
 _CLEARANCE = 2.0  # durations before and after a push in which windows are compared with it
-_BORDER = 0.2  # s after the first sample within which a push counts as starting with the log, or as repeating
+_BORDER = _DURATIONS[0]  # s: what is nearer than the shortest push is as good as the same moment
 _ALONE = 2.0  # factor over the window at the same phase of another cycle
 _LEAST_GAIN_RATIO = 0.02  # least gain over that of the strongest push
 _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # numerical: steps by which each end moves in the fit; steps per duration
-_PARTS, _PART = np.linspace(0.13, 0.7, 10), 1 / 6  # starts and length of the parts checked for a pause, per duration
+_PARTS = np.linspace(0.13, 0.7, 10)  # numerical: starts of the parts that are checked for a pause, per duration
+_PART = 1 / 6  # their length
 _PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
 _UNKNOWN = -1  # numerical: whether a window has a pause
 _LOOK = 16  # numerical: windows that are looked at for a pause together, the strongest first

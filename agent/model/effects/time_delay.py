@@ -14,8 +14,9 @@ from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
 
 _ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay
-_SHARPER = (0.5, 0.25)
-_SHORTEST, _LONGEST = 1e-4, 0.05  # s
+_SHARPER = (0.5, 0.25)  # parts of the model's way over which what is shifted may turn
+_LONGEST = 0.05  # s
+_SHORTEST = 1e-4  # numerical: s, so that a delay keeps its sign
 _TRIED = tuple(sign * delay for delay in geometric(_ABSORBED, _LONGEST) for sign in (-1, 1))
 
 
