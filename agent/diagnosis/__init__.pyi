@@ -28,9 +28,10 @@ from .position_logs.separation import separations as separations
 from .position_logs.workflow import without_torque as without_torque
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .rows.candidate import Candidate as Candidate, HypothesisKey as HypothesisKey
-from .rows.dataset import Dataset as Dataset, noise_level as noise_level
+from .rows.dataset import Dataset as Dataset
 from .rows.fit import Fit as Fit
 from .rows.needs import MotionCoverage as MotionCoverage
+from .rows.standstill import noise_level as noise_level
 from .sizes import (
     amplitude as amplitude,
     leading_parameter as leading_parameter,

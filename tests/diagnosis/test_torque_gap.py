@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from agent.diagnosis.gap.torque_gap import held_out_gap
-from agent.diagnosis.rows.dataset import assemble, stiction
+from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.rows.standstill import stiction
 from agent.model.effects import CATALOGUE
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record

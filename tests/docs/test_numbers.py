@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import grimp
 import pytest
 
 from agent.diagnosis.hypotheses.law import LAW
@@ -35,9 +36,16 @@ def test_a_number_is_numerical_only_once_runs_that_reach_it_show_nothing(numeric
     assert sensitivity.kind_of(replace(numerical, comment="of rows"), row) == "decides"
 
 
+def test_numbers_of_figures_belong_to_packages_that_no_verdict_is_made_by():
+    graph = grimp.build_graph("agent", cache_dir=None)
+    for package in sensitivity.FIGURES:
+        name = package.replace("/", ".")
+        assert not [chain for chain in graph.find_shortest_chains("agent.diagnosis.workflow", name)]
+
+
 @pytest.fixture
 def numerical():
-    return replace(next(iter(NUMBERS.values())), comment="numerical: rows that are worked out together")
+    return replace(NUMBERS["diagnosis/hypotheses/pool: _AT_ONCE"], comment="numerical: rows worked out together")
 
 
 @pytest.mark.parametrize(
@@ -65,6 +73,10 @@ def test_a_number_is_varied_wherever_it_stands_and_put_back():
     with sensitivity.changed(NUMBERS["model/effects/encoder_offset: EncoderOffset.plausible.0.3"], 0.5):
         assert not CATALOGUE["encoder_offset"].plausible({}, {"offset": 0.2})
     assert CATALOGUE["encoder_offset"].plausible({}, {"offset": 0.2})
+    finest = CATALOGUE["backlash"].grid[0]
+    with sensitivity.changed(NUMBERS["model/effects/backlash: _GAPS"], 2.0):
+        assert CATALOGUE["backlash"].grid[0][-1] == 2 * finest[-1]
+    assert CATALOGUE["backlash"].grid[0] == finest
     with sensitivity.changed(NUMBERS["model/effects/payload: _LEAST_RADIUS"], 0.5):
         assert payload._LEAST_RADIUS == 0.025
     assert payload._LEAST_RADIUS == 0.05

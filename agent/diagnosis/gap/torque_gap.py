@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.dataset import Dataset, stiction
+from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.standstill import stiction
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,9 @@ from agent.diagnosis.position_logs.fitting import (
     with_link,
 )
 from agent.diagnosis.position_logs.recording import LinearisedMotion
-from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of, segments_of
+from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.rows.folds import folds_of
+from agent.diagnosis.rows.folds import folds_of, segments_of
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import IdentifiedModel, NominalModel
 from agent.recording import Log

@@ -11,9 +11,9 @@ import numpy as np
 from agent.core import InputError, symmetric_eigen
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.rows.folds import folds_of
+from agent.diagnosis.rows.folds import folds_of, segments_of
 from agent.diagnosis.rows.rounding import rounding_noise
-from agent.diagnosis.rows.standstill import standing
+from agent.diagnosis.rows.standstill import noise_level
 from agent.estimation import (
     DESCRIPTION,
     EITHER,
@@ -197,43 +197,6 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
     return model.held_out_rmse if model.group_rmse is None else model.group_rmse[0]
 
 
-def noise_level(
-    reference: NominalModel,
-    moving: np.ndarray,
-    signals: Sequence[MotionSignals],
-    others: Sequence[MotionSignals] = (),
-) -> np.ndarray:
-    """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill (`LIMITS.independent`).
-
-    At a standstill, stiction allows any torque below the Coulomb level.
-
-    Args:
-        reference: model whose Coulomb levels count.
-        moving: (n,) held-out error of moving joints [N·m].
-        signals: filtered motions, whose rows are returned.
-        others: motions of the same arm, as for `standing`.
-    """
-    still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
-    standstill = standing(signals, others)
-    resting = np.concatenate([still[s.kept] for s, still in zip(signals, standstill, strict=True)])
-    rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-    reach = int(0.5 * LIMITS.independent * rate)
-    near = resting.copy()
-    for shift in range(1, reach + 1):
-        near[shift:] |= resting[:-shift]
-        near[:-shift] |= resting[shift:]
-    return np.where(near, still, moving)
-
-
-def stiction(reference: NominalModel) -> np.ndarray:
-    """Coulomb level (n,) [N·m]: bound of the torque of a stationary joint in either direction."""
-    model, level = reference.model, np.zeros(reference.robot.dof)
-    for k, term in enumerate(model.terms):
-        if term.form == "coulomb":
-            level[term.axle] = abs(model.values[len(model.independent) + k])
-    return level @ np.abs(reference.coupling)
-
-
 def known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:
     """Filtered torque (S', n) of the effects that the model has already."""
     total = np.zeros(signals.q.shape)
@@ -266,17 +229,3 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
         prior=None if model.prior is None else model.prior.part(kept),
         effects=(),
     )
-
-
-def segments_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:
-    """(S',) segment of `lasting` seconds that a row lies in, counted over all logs, the same in every cycle of one."""
-    segment_of = np.zeros(len(time), dtype=int)
-    for number, entry in enumerate(logs):
-        here = log == number
-        starts = np.asarray(entry.cycle_starts, dtype=float)
-        since = time[here]
-        if len(starts) > 1:
-            since = since - starts[np.maximum(np.searchsorted(starts, since, side="right") - 1, 0)]
-        segment = np.maximum(since // lasting, -1).astype(int) + 1
-        segment_of[here] = segment + (segment_of.max() + 1 if number else 0)
-    return np.unique(segment_of, return_inverse=True)[1]

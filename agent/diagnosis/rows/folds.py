@@ -89,3 +89,17 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
     edges = [first, *borders, last]
     names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
     return np.where(near, -1, group), names
+
+
+def segments_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:
+    """(S',) segment of `lasting` seconds that a row lies in, counted over all logs, the same in every cycle of one."""
+    segment_of = np.zeros(len(time), dtype=int)
+    for number, entry in enumerate(logs):
+        here = log == number
+        starts = np.asarray(entry.cycle_starts, dtype=float)
+        since = time[here]
+        if len(starts) > 1:
+            since = since - starts[np.maximum(np.searchsorted(starts, since, side="right") - 1, 0)]
+        segment = np.maximum(since // lasting, -1).astype(int) + 1
+        segment_of[here] = segment + (segment_of.max() + 1 if number else 0)
+    return np.unique(segment_of, return_inverse=True)[1]

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.model import MotionSignals, standstill_speed
+from agent.model import MotionSignals, NominalModel, standstill_speed
 
 
 def standing(signals: Sequence[MotionSignals], others: Sequence[MotionSignals] = ()) -> list[np.ndarray]:
@@ -41,6 +41,43 @@ def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
         long = _count(begins, shortest - 1, 0) > 0
         parts.append((_count(long, reach, reach) > 0)[motion.kept])
     return np.concatenate(parts)
+
+
+def noise_level(
+    reference: NominalModel,
+    moving: np.ndarray,
+    signals: Sequence[MotionSignals],
+    others: Sequence[MotionSignals] = (),
+) -> np.ndarray:
+    """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill (`LIMITS.independent`).
+
+    At a standstill, stiction allows any torque below the Coulomb level.
+
+    Args:
+        reference: model whose Coulomb levels count.
+        moving: (n,) held-out error of moving joints [N·m].
+        signals: filtered motions, whose rows are returned.
+        others: motions of the same arm, as for `standing`.
+    """
+    still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
+    standstill = standing(signals, others)
+    resting = np.concatenate([still[s.kept] for s, still in zip(signals, standstill, strict=True)])
+    rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
+    reach = int(0.5 * LIMITS.independent * rate)
+    near = resting.copy()
+    for shift in range(1, reach + 1):
+        near[shift:] |= resting[:-shift]
+        near[:-shift] |= resting[shift:]
+    return np.where(near, still, moving)
+
+
+def stiction(reference: NominalModel) -> np.ndarray:
+    """Coulomb level (n,) [N·m]: bound of the torque of a stationary joint in either direction."""
+    model, level = reference.model, np.zeros(reference.robot.dof)
+    for k, term in enumerate(model.terms):
+        if term.form == "coulomb":
+            level[term.axle] = abs(model.values[len(model.independent) + k])
+    return level @ np.abs(reference.coupling)
 
 
 @dataclass(frozen=True, eq=False)
