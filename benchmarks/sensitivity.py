@@ -252,7 +252,7 @@ def varied(value: Any, factor: float) -> Any:
     if isinstance(value, (tuple, list)):
         return type(value)(varied(each, factor) for each in value)
     if isinstance(value, np.ndarray):
-        return value * factor
+        return np.array([varied(each, factor) for each in value.tolist()])
     if isinstance(value, dict):
         return {key: varied(each, factor) for key, each in value.items()}
     if isinstance(value, bool) or not isinstance(value, (int, float)):

@@ -127,7 +127,7 @@ def test_search_verdict_and_pages_know_no_effect_by_name():
     """All that is known about an effect is in its class, so that one from outside is treated as the built-in ones."""
     known = {effect.name for effect in CATALOGUE.built_in} | {type(effect).__name__ for effect in CATALOGUE.built_in}
     found = []
-    for room in ("diagnosis", "experiment", "pages", "pipeline", "notebook", "fleet", "cli"):
+    for room in ("diagnosis", "experiment", "pages", "pipeline", "notebook", "fleet", "cli", "simulators/corrected"):
         for path in sorted((ROOT / "agent" / room).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):
                 name = getattr(node, "value", None) if isinstance(node, ast.Constant) else getattr(node, "id", None)

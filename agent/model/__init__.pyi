@@ -2,7 +2,6 @@ from .effect_inputs import MotionSignals as MotionSignals, NominalModel as Nomin
 from .effect_prediction import effect_torque as effect_torque
 from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
-from .effects.dress_pack import N_NODES as N_NODES
 from .effects.effect import (
     BELOW_ZERO as BELOW_ZERO,
     REVERSAL_TRAVELS as REVERSAL_TRAVELS,

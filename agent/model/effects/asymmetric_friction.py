@@ -20,6 +20,7 @@ class AsymmetricFriction(Effect):
 
     name = "asymmetric_friction"
     family = "friction"
+    stepped = "joint_asymmetric_friction"
     formula = "a · |s| + b · |w|"
     source = "Armstrong-Hélouvry, Control of Machines with Friction (1991); Janot, Gautier, Brunot, EMPS benchmark"
     signature = "residual of one sign while the joint moves either way, gone at standstill or growing with speed"

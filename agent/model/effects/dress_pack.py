@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -23,6 +25,10 @@ from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_sprin
 from agent.model.friction_terms import dahl
 from agent.model.passive_forces import Bristles, PassiveForces, spring_near, spring_of
 
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+    from scipy.interpolate import CubicSpline
+
 N_NODES = 6
 _BEND = 0.1  # nominal torque: usual deviation from a straight line at a node
 
@@ -37,6 +43,7 @@ class DressPack(Effect):
 
     name = "dress_pack"
     family = "load"
+    stepped = "joint_dress_pack"
     formula = "a + b · x (+ c · x² + e · x³) + d · z(q), or curve(q) + d · z(q)"
     source = "hose as a spring with inner friction (Dahl, AIAA J. 14, 1976); natural splines (de Boor, 1978)"
     signature = "residual that depends on the joint's own position, without the shape of gravity"
@@ -105,6 +112,14 @@ class DressPack(Effect):
         steepest = float(np.polyval(np.polyder(falling), settings.get("reach", 0.0)))
         return steepest < STRONGEST * float(reference.scale[joints[0]])
 
+    def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any] | None:
+        """A curve as the powers of its pieces."""
+        if "low" not in values:
+            return super().stepped_parameters(values, inertia)
+        curve = _spline([values[f"torque_{k}"] for k in range(N_NODES)], values["low"], values["high"])
+        rubbing = {key: values[key] for key in ("travel", "hysteresis") if key in values}
+        return {**rubbing, "nodes": curve.x.tolist(), "curve": curve.c[::-1].tolist()}
+
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
         return linear_spring(values)
 
@@ -123,10 +138,14 @@ class DressPack(Effect):
         return PassiveForces(spring=spring, bristles=rubbing)
 
 
-def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
-    """(S,) per node: the natural spline that is 1 at this node and 0 at the others, and goes on straight."""
+def _spline(torque: ArrayLike, low: float, high: float) -> CubicSpline:
     from scipy.interpolate import CubicSpline  # slow to load
 
-    spline = CubicSpline(np.linspace(low, high, N_NODES), np.eye(N_NODES), bc_type="natural")
+    return CubicSpline(np.linspace(low, high, N_NODES), torque, bc_type="natural")
+
+
+def _curve(q: np.ndarray, low: float, high: float) -> list[np.ndarray]:
+    """(S,) per node: the natural spline that is 1 at this node and 0 at the others, and goes on straight."""
+    spline = _spline(np.eye(N_NODES), low, high)
     inside = np.clip(q, low, high)
     return list((spline(inside) + (q - inside)[:, None] * spline(inside, 1)).T)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -102,6 +102,7 @@ class Effect(ABC):
     | `sizes` | parameters that must be positive |
     | `numbers` | numbers of a simulator's file that change under its name: friction, links or load |
     | `scales_report`, `adds_to_report` | parameters by which the reported torque is off: factor − 1, and offset |
+    | `stepped` | its form in the file of effects of a corrected simulator (`standalone_effects`); empty: none |
     | `of_servos` | `phrase` and `look_at` where torque is that of position servos |
     """
 
@@ -139,6 +140,7 @@ class Effect(ABC):
     numbers: ClassVar[str] = ""
     adds_to_report: ClassVar[str | None] = None
     scales_report: ClassVar[str | None] = None
+    stepped: ClassVar[str] = ""
     of_servos: ClassVar[tuple[str, str] | None] = None
 
     @property
@@ -217,6 +219,15 @@ class Effect(ABC):
         """What its reported parameters are in the numbers of a simulator's file of an arm with `dof` joints; None where
         numbers do not say it."""
         return None
+
+    def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any] | None:
+        """Its reported parameters as the `stepped` form has them; None where that form cannot say them.
+
+        Args:
+            values: the parameters, with their settings.
+            inertia: mean inertia that each of its joints carries [kg·m² or kg].
+        """
+        return {name: float(value) for name, value in values.items()}
 
     def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces | None:
         """What its reported parameters are as passive forces at its joint, exactly or as nearly as these can say it.

@@ -17,6 +17,7 @@ class FrictionChange(FrictionLevel):
 
     name = "friction_change"
     family = "friction"
+    stepped = "joint_friction_change"
     formula = "a · s + b · w"
     source = "Bittencourt, Axelsson, identification of wear in a robot joint, report LiTH-ISY-R-3058 (2013)"
     signature = "residual with the sign of the speed at all speeds, and growing in proportion to it"

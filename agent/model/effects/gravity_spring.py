@@ -32,6 +32,7 @@ class GravitySpring(Effect):
 
     name = "gravity_spring"
     family = "load"
+    stepped = "joint_gravity_spring"
     formula = "Σ a_h · cos(h q) + b_h · sin(h q), h = 1 or 1, 2; or a + b · q"
     source = "two pivots and a spring: Klimchik, Wu, Caro, Dumas, Furet, Pashkevich, arXiv:1311.6674 (2013)"
     signature = "residual that is a smooth function of the joint's own angle, like a pendulum's"

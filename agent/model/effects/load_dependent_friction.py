@@ -22,6 +22,7 @@ class LoadDependentFriction(FrictionLevel):
 
     name = "load_dependent_friction"
     family = "friction"
+    stepped = "joint_load_dependent_friction"
     usual = True
     formula = "a · s · |τ_load|, or a · s · τ₁ · (|τ_load| / τ₁)^p; with b · w · |τ_load| or b · τ_load"
     source = "Bittencourt, Wernholt, Sander-Tavallaey, Brogårdh, IROS (2010); Dohring, Lee, Newman, ICRA (1993)"

@@ -25,6 +25,7 @@ class Presliding(Effect):
 
     name = "presliding"
     family = "friction"
+    stepped = "joint_presliding"
     formula = "a · (z(x) − s), dz = (1 − z · sign(dx)) dx / travel"
     linear = ("level",)
     source = "Dahl, AIAA J. 14 (1976); Swevers, Al-Bender, Ganseman, Prajogo, IEEE TAC 45 (2000)"

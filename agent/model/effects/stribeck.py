@@ -18,6 +18,7 @@ class Stribeck(FrictionLevel):
 
     name = "stribeck"
     family = "friction"
+    stepped = "joint_stribeck"
     usual = True
     formula = "a · s · exp(−(|w| / v)^δ)"
     linear = ("rise",)

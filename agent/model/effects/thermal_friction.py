@@ -28,6 +28,7 @@ class ThermalFriction(FrictionLevel):
 
     name = "thermal_friction"
     family = "friction"
+    stepped = "joint_thermal_friction"
     usual = True
     formula = "(a + b · c) · s + (d + e · c) · w, c = exp(−t / T) or exp(−∫|w| dt / W)"
     linear = ("coulomb_change", "coulomb_drift", "viscous_change", "viscous_drift")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,7 @@ class TimeDelay(Effect):
 
     name = "time_delay"
     family = "measurement"
+    stepped = "reading_late"
     usual = True
     scope = "arm"
     formula = "τ(t − d) − τ(t)"
@@ -73,6 +75,10 @@ class TimeDelay(Effect):
         shifted = _over_time(signals, settings.get("reversal"))(late)
         change = shifted - signals.predicted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
+
+    def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any] | None:
+        """No form is ahead of time."""
+        return super().stepped_parameters(values, inertia) if values["delay"] > 0 else None
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         return near_one(values["share"])

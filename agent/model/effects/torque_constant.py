@@ -13,6 +13,7 @@ class TorqueConstant(Effect):
 
     name = "torque_constant"
     family = "measurement"
+    stepped = "reading_scaled"
     formula = "a · τ_axle"
     linear = ("scale_error",)
     source = "Gautier, Briot, J. Dynamic Systems, Measurement and Control 136 (2014)"

@@ -16,6 +16,7 @@ class TorqueOffset(Effect):
 
     name = "torque_offset"
     family = "measurement"
+    stepped = "reading_shifted"
     formula = "a"
     linear = ("offset",)
     source = "by definition: a constant added to the torque channel"

@@ -33,6 +33,7 @@ class TorqueRipple(Effect):
 
     name = "torque_ripple"
     family = "transmission"
+    stepped = "joint_torque_ripple"
     formula = "Σ a_h · cos(h ν x) + b_h · sin(h ν x), h = 1 or 1, 2"
     source = "Hung, Ding, IEE Proc. B 140 (1993)"
     signature = "a line in the residual over the angle of motor or gear, whatever the speed"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import product
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -79,6 +80,7 @@ class TwoMass(Effect):
     linear = ("share",)
     units = MappingProxyType({"stiffness": "N·m/rad"})
     leading = ("stiffness",)
+    stepped = "arm_two_mass"
     fast_torque = True
     nonlinear = ("stiffness",)
 
@@ -160,6 +162,11 @@ class TwoMass(Effect):
 
     def _lead(self, signals: MotionSignals, k: int, settings: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return signals.memory["leads"][_key(k, settings)]
+
+    def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any]:
+        """With the damper of a link of its mean inertia."""
+        damper = 2 * values["damping"] * math.sqrt(values["stiffness"] * inertia[0])
+        return {**values, "damper": damper}
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (k,) = joints

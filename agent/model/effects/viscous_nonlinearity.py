@@ -17,6 +17,7 @@ class ViscousNonlinearity(FrictionLevel):
 
     name = "viscous_nonlinearity"
     family = "friction"
+    stepped = "joint_viscous_nonlinearity"
     formula = "a · v · asinh(w / v) + b · w, or a · sign(w) · |w|^p + b · w"
     linear = ("bend", "viscous_change")
     source = "Waiboer, Aarts, Jonker, ECCOMAS (2005); Eyring, J. Chem. Phys. 4 (1936)"

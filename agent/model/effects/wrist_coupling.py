@@ -46,6 +46,7 @@ class WristCoupling(Effect):
 
     name = "wrist_coupling"
     family = "transmission"
+    stepped = "arm_coupled"
     scope = "pair"
     formula = "τ = C'ᵀ f(C' q̇) − Cᵀ f(C q̇), C' is C with r more in row j, column i"
     source = "power is kept, so torques go by the transpose: Khalil, Dombre (2002), coupled transmissions"

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import pprint
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agent.model import CATALOGUE, N_NODES, ModelEffect
+from agent.model import CATALOGUE, ModelEffect
 from agent.simulators.corrected import standalone_effects
 from agent.simulators.corrected.correction import Correction
-
-_FORMS = (*(name[1:] for name in vars(standalone_effects.Effects) if name[1:] in CATALOGUE),)
-_OTHERS = ("joint_elasticity", "backlash", "wrist_coupling", "torque_constant", "torque_offset", "time_delay")
-
-
-def is_supported(entry: ModelEffect) -> bool:
-    """Whether the file has a form for an effect: all built-in ones that are part of a simulator, none installed."""
-    ahead = entry.effect == "time_delay" and entry.parameters["delay"] <= 0
-    return entry.effect in (*_FORMS, *_OTHERS) and not ahead
 
 
 def effects_text(correction: Correction, source: str, out: str) -> str | None:
     """The file's text; None where the simulator's file says everything."""
-    effects = [_entry(correction, entry) for entry in correction.effects if is_supported(entry)]
+    effects = [of_file for entry in correction.effects if (of_file := _entry(correction, entry)) is not None]
     arm, n = correction.arm, len(correction.arm.joint_names)
     unsaid = arm.armature if arm.is_urdf else np.zeros(n)
     if not effects and not np.any(unsaid):
@@ -53,20 +43,11 @@ def effects_text(correction: Correction, source: str, out: str) -> str | None:
     return f"{head}# of {source}, beside {out}\n" + "\n".join(lines) + f"\n# end of data\n{code}"
 
 
-def _entry(correction: Correction, entry: ModelEffect) -> dict[str, Any]:
-    """An effect as the file has it."""
+def _entry(correction: Correction, entry: ModelEffect) -> dict[str, Any] | None:
+    """An effect as the file has it; None where the file has no form for it."""
     joints = tuple(correction.arm.joint_names.index(name) for name in entry.joints)
-    p: dict[str, Any] = {name: float(value) for name, value in entry.parameters.items()}
-    if entry.effect in ("joint_elasticity", "backlash"):
-        p["damper"] = 2 * p["damping"] * math.sqrt(p["stiffness"] * float(correction.inertia[joints[0]]))
-    if entry.effect == "dress_pack" and "low" in p:
-        from scipy.interpolate import CubicSpline
-
-        nodes = np.linspace(p["low"], p["high"], N_NODES)
-        curve = CubicSpline(nodes, [p[f"torque_{k}"] for k in range(N_NODES)], bc_type="natural")
-        p = {
-            **{key: p[key] for key in ("travel", "hysteresis") if key in p},
-            "nodes": nodes.tolist(),
-            "curve": curve.c[::-1].tolist(),
-        }
-    return {"effect": entry.effect, "joints": joints, "parameters": p}
+    effect = CATALOGUE[entry.effect]
+    parameters = effect.stepped_parameters(entry.parameters, [float(correction.inertia[joint]) for joint in joints])
+    if not effect.stepped or parameters is None:
+        return None
+    return {"effect": entry.effect, "form": effect.stepped, "joints": joints, "parameters": parameters}

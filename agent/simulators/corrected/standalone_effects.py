@@ -65,14 +65,10 @@ class Effects:
         total = qdd * self.armature
         for number, effect in enumerate(EFFECTS):
             state = self._states.setdefault(number, {})
-            j, p = list(effect["joints"]), effect["parameters"]
-            kind = effect["effect"]
-            if kind in ("joint_elasticity", "backlash"):
-                total = total + self._two_mass(state, j[0], p, load, mass, slope)
-            elif kind == "wrist_coupling":
-                total = total + self._coupled(j[0], j[1], p, qd, qdd, load)
-            elif kind not in ("torque_constant", "torque_offset", "time_delay"):
-                form = getattr(self, f"_{kind}")
+            j, p, form = list(effect["joints"]), effect["parameters"], getattr(self, f"_{effect['form']}")
+            if effect["form"].startswith("arm_"):
+                total = total + form(state, j, p, qd, qdd, load, mass, slope)
+            elif effect["form"].startswith("joint_"):
                 total[..., j[0]] += form(state, j[0], p, q[..., j[0]], qd[..., j[0]], load[..., j[0]], qdd[..., j[0]])
                 if "reversal_travel" in p:
                     bristles = self._dahl(state.setdefault("bristles", {}), q[..., j[0]], p["reversal_travel"])
@@ -85,18 +81,26 @@ class Effects:
         torque = np.asarray(torque, dtype=float)
         told = torque.copy()
         for effect in EFFECTS:
-            p = effect["parameters"]
-            if effect["effect"] == "torque_constant":
-                told[..., effect["joints"][0]] += p["scale_error"] * torque[..., effect["joints"][0]]
-            elif effect["effect"] == "torque_offset":
-                told[..., effect["joints"][0]] += p["offset"]
-            elif effect["effect"] == "time_delay" and p["delay"] > 0:
-                back = p["delay"] / self.dt
-                whole = int(back)
-                self._past = [torque, *self._past][: whole + 2]
-                near, far = (self._past[min(k, len(self._past) - 1)] for k in (whole, whole + 1))
-                told = told + p["share"] * ((1 - back + whole) * near + (back - whole) * far - torque)
+            if effect["form"].startswith("reading_"):
+                told += getattr(self, f"_{effect['form']}")(effect["joints"], effect["parameters"], torque)
         return told
+
+    def _reading_scaled(self, joints: Any, p: Any, torque: Array) -> Array:
+        more = np.zeros_like(torque)
+        more[..., joints[0]] = p["scale_error"] * torque[..., joints[0]]
+        return more
+
+    def _reading_shifted(self, joints: Any, p: Any, torque: Array) -> Array:
+        more = np.zeros_like(torque)
+        more[..., joints[0]] = p["offset"]
+        return more
+
+    def _reading_late(self, joints: Any, p: Any, torque: Array) -> Array:
+        back = p["delay"] / self.dt
+        whole = int(back)
+        self._past = [torque, *self._past][: whole + 2]
+        near, far = (self._past[min(k, len(self._past) - 1)] for k in (whole, whole + 1))
+        return np.asarray(p["share"] * ((1 - back + whole) * near + (back - whole) * far - torque))
 
     def _slide(self, joint: int, qd: Array) -> Array:
         return np.tanh(qd / self.reversal[joint])
@@ -109,30 +113,30 @@ class Effects:
         state["q"] = q
         return state["s"]
 
-    def _stribeck(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+    def _joint_stribeck(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         fading = np.minimum((np.abs(qd) / p["speed"]) ** p["shape"], 700)
         return p["rise"] * self._slide(j, qd) * np.exp(-fading)
 
-    def _friction_change(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+    def _joint_friction_change(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         return p.get("coulomb_change", 0.0) * self._slide(j, qd) + p.get("viscous_change", 0.0) * qd
 
-    def _asymmetric_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+    def _joint_asymmetric_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         slide = np.abs(self._slide(j, qd))
         return p.get("coulomb_asymmetry", 0.0) * slide + p.get("viscous_asymmetry", 0.0) * np.abs(qd)
 
-    def _load_dependent_friction(
+    def _joint_load_dependent_friction(
         self, state: Any, j: int, p: Any, q: Array, qd: Array, load: Array, qdd: Array
     ) -> Array:
         load, nominal = load + ROTORS[j] * qdd, p.get("load", 1.0)
         torque = p["coefficient"] * self._slide(j, qd) * nominal * (np.abs(load) / nominal) ** p.get("power", 1.0)
         return torque + p.get("sheared_coefficient", 0.0) * qd * np.abs(load) + p.get("driven_coefficient", 0.0) * load
 
-    def _viscous_nonlinearity(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+    def _joint_viscous_nonlinearity(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         power = p.get("power", 1.0)
         bent = p["speed"] * np.arcsinh(qd / p["speed"]) if "speed" in p else np.sign(qd) * np.abs(qd) ** power
         return p["bend"] * bent + p["viscous_change"] * qd
 
-    def _thermal_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+    def _joint_thermal_friction(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         if "way" in p:
             state["gone"] = state.get("gone", np.zeros_like(q)) + np.abs(q - state.get("q", q))
             state["q"] = q
@@ -142,16 +146,16 @@ class Effects:
         coulomb = p["coulomb_change"] + p["coulomb_drift"] * cold
         return coulomb * self._slide(j, qd) + (p["viscous_change"] + p["viscous_drift"] * cold) * qd
 
-    def _presliding(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
+    def _joint_presliding(self, state: Any, j: int, p: Any, q: Array, qd: Array, *_: Array) -> Array:
         return p["level"] * (self._dahl(state, q, p["travel"]) - self._slide(j, qd))
 
-    def _torque_ripple(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
+    def _joint_torque_ripple(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
         return _harmonics(p, p["order"] * q)
 
-    def _gravity_spring(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
+    def _joint_gravity_spring(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
         return _harmonics(p, q) if "harmonics" in p else p["constant"] + p["stiffness"] * q
 
-    def _dress_pack(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
+    def _joint_dress_pack(self, state: Any, j: int, p: Any, q: Array, *_: Array) -> Array:
         if "curve" in p:
             nodes, powers = np.array(p["nodes"]), np.array(p["curve"])  # torque per power of the way from a node
             inside = np.clip(q, nodes[0], nodes[-1])
@@ -167,11 +171,20 @@ class Effects:
             torque = torque + p["hysteresis"] * self._dahl(state, q, p["travel"])
         return np.asarray(torque)
 
-    def _two_mass(
-        self, state: dict[str, Any], j: int, p: Any, load: Array, mass: Array | None, slope: Array | None
+    def _arm_two_mass(
+        self,
+        state: dict[str, Any],
+        joints: Any,
+        p: Any,
+        qd: Array,
+        qdd: Array,
+        load: Array,
+        mass: Array | None,
+        slope: Array | None,
     ) -> Array:
         """Motor ahead of its link by d: ṗ + c ḋ + k z(d) = load − slope d, p = m ḋ; semi-implicit steps of 1/1500 s at
         most. How the link rings at the start is not known: it is forgotten with the fourth power of the time gone."""
+        (j,) = joints
         empty = np.zeros((*load.shape, len(JOINTS)))
         matrix = empty + np.eye(len(JOINTS)) if mass is None else np.asarray(mass)
         falls = empty[..., j] if slope is None else np.asarray(slope)[..., :, j]
@@ -196,9 +209,9 @@ class Effects:
         felt[..., j] = -p["share"] * ((momentum - before) / self.dt + fallen * twist)
         return felt
 
-    def _coupled(self, i: int, j: int, p: Any, qd: Array, qdd: Array, load: Array) -> Array:
+    def _arm_coupled(self, state: Any, joints: Any, p: Any, qd: Array, qdd: Array, load: Array, *_: Any) -> Array:
         """Axle j turns along with joint i by a ratio: rotor, friction and load act on both."""
-        ratio, free = p["ratio"], "free" in p
+        (i, j), ratio, free = joints, p["ratio"], "free" in p
         speed = qd[..., j] + ratio * qd[..., i]
 
         def friction(w: Array) -> Array:
@@ -214,7 +227,7 @@ class Effects:
             felt[..., j], felt[..., i] = rubbing, ratio * rubbing
             if "turning" in p:
                 tied = {"ratio": ratio, "rotor": p["rotor"], "share": p["share"]}
-                felt = felt + self._coupled(i, j, tied, qd, qdd, load)
+                felt = felt + self._arm_coupled(state, joints, tied, qd, qdd, load)
             return felt
         felt[..., j] = p["rotor"] * ratio * qdd[..., i] + friction(speed) - friction(qd[..., j])
         if "axle_side" in p:
@@ -248,7 +261,7 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
     dof = np.array([int(model.joint(name).dofadr[0]) for name in joints])
     rotors = np.array(ROTORS)
     now: dict[str, Any] = {"time": -1.0}
-    gears = any(effect["effect"] in ("joint_elasticity", "backlash") for effect in EFFECTS)
+    gears = any(effect["form"] == "arm_two_mass" for effect in EFFECTS)
     moved = mujoco.MjData(model)
 
     def links(m: Any, d: Any) -> Array:
