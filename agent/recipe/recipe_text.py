@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from importlib.resources import files
 
+from agent.motion import create_dialect
+from drivers import registry
+
 _BARE = re.compile(r"[0-9]+(\.[0-9]+){3}:[0-9]+|[A-Za-z_][A-Za-z0-9_./-]*(:[0-9]+)?")
 
 
@@ -26,6 +29,11 @@ def template(robot: str = USUAL["robot"], address: str = USUAL["address"], **val
     """Text of a commented recipe that `load_recipe` reads, with `values` in place of the usual ones."""
     chosen = {**USUAL, **values, "robot": robot, "address": address}
     texts = {key: _scalar(str(chosen[key])) for key in ("robot", "driver", "address")}
+    dialect, efforts = create_dialect(registry.dialect(str(chosen["driver"]))), registry.efforts(str(chosen["driver"]))
+    texts["fly"] = "type: FLY_CART, trajectory: FLY_TOL, " if "trajectory" in dialect.fly_keys else ""
+    texts["interpolator"] = dialect.interpolators[0]
+    texts["effort"] = f", effort: {efforts[0]}" if efforts else ""
+    texts["efforts"] = f"   # what this robot reports: {', '.join(efforts)}" if efforts else ""
     return (files("agent.recipe") / "template.yaml").read_text(encoding="utf-8").format(**{**chosen, **texts})
 
 

@@ -34,6 +34,23 @@ def test_options_replace_all_questions(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
+    ("driver", "address"),
+    [
+        ("modbus", "192.0.2.1:502"),
+        ("ur", "192.0.2.1"),
+        ("ros2", "ros2://0/joint_trajectory_controller"),
+        ("cnr_comau", "192.0.2.1"),
+    ],
+)
+def test_a_recipe_fits_its_driver(tmp_path: Path, driver: str, address: str):
+    flags = {"robot": "ur5e", "driver": driver, "controller": address, "centre": "450 mm, 0 mm, 350 mm"}
+    path = write_recipe(tmp_path / "cell.yaml", flags)
+    controller = load_recipe(path).controller
+    assert (controller.driver, controller.address) == (driver, address)
+    assert controller.effort == ("torque" if driver == "ros2" else None)
+
+
+@pytest.mark.parametrize(
     ("flag", "value", "why"),
     [
         ("--size", "0.3 m, 0.3 m", "three quantities"),
