@@ -60,6 +60,7 @@ class Arm:
         self.position, self.speed = np.array(position, dtype=float), np.zeros(2)
         self.set_by = 0.0  # s, of its clock
         self.offset = self._off = np.zeros(2)  # where it is asked to be, and where a joint of 5 rad/s is by now
+        self.noise = lambda: 0.0
         self.believed, self.doubt = Believed(), "a joint jumps"
         self.sent, self.brakes, self.cancels = [], [], 0
         self.deaf = self.answers_nothing = False
@@ -87,7 +88,7 @@ class Arm:
 
     def sample(self):
         self._off = self._off + np.clip(self.offset - self._off, -5 * PERIOD, 5 * PERIOD)
-        found = JointSample(self.now, self.position + self._off, self.speed.copy(), np.ones(2))
+        found = JointSample(self.now, self.position + self._off + self.noise(), self.speed.copy(), np.ones(2))
         self.believed.take(found, self.now + self.delay)
         return found
 
@@ -219,6 +220,27 @@ def test_a_sample_that_this_arm_cannot_have_made_brakes_it_where_it_really_is(by
     with pytest.raises(MotionStopped, match="a joint jumps"):
         blocks_of(arm)
     assert np.abs(arm.controller.command - arm.stopped_from).max() < 0.3
+    assert not arm.speed.any()
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(3))
+def test_samples_that_contradict_each_other_throw_no_arm(by_goal, seed):
+    """It is braked from its trajectory, once: no sample says where it is."""
+    rng = np.random.default_rng(seed)
+    arm = Arm(by_goal)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    there, fast = arm.position, arm.speed
+    arm.noise, speeds = lambda: rng.uniform(-0.2, 0.2, 2), []
+    for turn in range(60):
+        arm.run(0.02)
+        speeds.append(np.abs(arm.speed).max())
+        if turn == 15:
+            arm.motion.brake()
+    assert len(arm.brakes) == 1
+    assert np.abs(arm.stopped_from - there).max() < 0.02
+    assert max(speeds) <= 1.1 * fast.max()
     assert not arm.speed.any()
 
 

@@ -496,7 +496,6 @@ DURING = {
     "one position too few": (partial(changed, position=lambda q: q[:1]), 4, "", STOPPED),
     "a stamp beyond its range": (lambda s: bytes_changed(s, whole(7, 4_000_000_000)), (4, 5), "", STOPPED),
     "a negative stamp": (lambda s: bytes_changed(s, whole(-5, 0)), (4, 5), "", STOPPED),
-    "big-endian messages": (lambda s: bytes_changed(s, lambda d: b"\0\0" + d[2:]), 4, "damaged", STOPPED),
     "a list of 4 billion numbers": (
         lambda s: bytes_changed(s, lambda d: d.replace(struct.pack("<I", 2), b"\xff" * 4)), 4, "damaged", STOPPED,
     ),
@@ -506,13 +505,13 @@ DURING = {
     "each message, and an old one": (lambda s: again(s, whole(int(time.time()) - 30, 0)), (4, 5), "", STOPPED),
     "samples in bursts of 0.3 s": (partial(held_back, seconds=0.3), (0, 4), "", 99),
     "samples in bursts of 1 s": (partial(held_back, seconds=1.0), 4, "late|silent", STOPPED + 0.5),
-    "a message of 250 joints, 500 times a second": (
-        lambda s: s.publish(joint_state([f"j{k}" for k in range(250)], np.zeros(250)), 500.0), (0, 4), "", 99,
+    "a message of 250 joints, 200 times a second": (
+        lambda s: s.publish(joint_state([f"j{k}" for k in range(250)], np.zeros(250)), 200.0), (0, 4), "", 99,
     ),
     "a message of 100 000 joints": (
         lambda s: s.publish(joint_state([f"j{k}" for k in range(100_000)], np.zeros(100_000)), 5.0), 4, "", STOPPED,
     ),
-    "the controller and its node are gone": (lambda s: s.server.close(), 4, "silent", STOPPED),
+    "the controller's node is gone": (lambda s: s.server.context.try_shutdown(), 4, "silent", 6.0),
     "the controller is deactivated": (lambda s: s.cell.controller.deactivate(), 5, "", STOPPED),
     "speed 0": (lambda s: setattr(s.cell.controller, "scaling", 0.0), 5, "", STOPPED),
     "speed 150 %": (lambda s: setattr(s.cell.controller, "scaling", 1.5), 5, "", STOPPED),
@@ -528,7 +527,7 @@ DURING = {
     "agent and second process are killed": (kill_both, -9, "", 5.0),
     "the agent is stopped, then killed": (stop_then_kill, -9, "", STOPPED),
     "the agent is stopped for good": (stop_for_good, -9, "", 1.0 + STOPPED),
-    "the second process is stopped": (partial(kill_second, number=signal.SIGSTOP), (0, 4), "", 99),
+    "the second process is stopped": (partial(kill_second, number=signal.SIGSTOP), 4, "second process", 2.0 + STOPPED),
     "the second process is told to end": (partial(kill_second, number=signal.SIGTERM), 0, "", 99),
     "the log is deleted": (lambda s: (s.folder / "swing.mcap").unlink(), 1, "", STOPPED + 1.0),
     "SIGQUIT": (lambda s: s.agent.send_signal(signal.SIGQUIT), 131, "", STOPPED),
@@ -557,7 +556,7 @@ def test_before_the_start(scene, measured, name):
     assert "Traceback" not in output
     assert ended in codes, output
     assert re.search(said, output), output
-    assert scene.bench.motions_started() == 0 or ended in (0, 5)
+    assert scene.bench.motions_started() == 0 or ended in (0, 5) or "moves already" in name
 
 
 @pytest.mark.parametrize("name", DURING)

@@ -1,7 +1,7 @@
 """A process of its own that brakes the arm when the agent is gone, however it went.
 
 The agent holds its standard input. Each line is an order: `arm STRENGTH…` (deceleration of each joint [rad/s²]),
-`disarm`, or an empty one as a sign of life. Where the input ends or is silent while armed, the arm is braked by one
+`disarm`, or a blank one as a sign of life. Where the input ends or is silent while armed, the arm is braked by one
 point, and whatever runs is cancelled once it rests. Run as `python -m drivers.transports.ros2.brake`.
 """
 
@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from typing import IO, Any
+from typing import IO, Any, TextIO
 
 import numpy as np
 
@@ -32,6 +32,9 @@ SILENCE = 1.0
 _TURN = 0.02  # s
 _OLD = 0.3  # s: a sample that still says where the arm is
 _READY = "ready"
+_PAGE = 4096  # bytes, the least that a pipe holds
+#: A sign of life: at one each 4 ms the pipe of a process that takes none is full after 1.6 s.
+_ALIVE = " " * 9
 
 
 class BrakeProcess:
@@ -56,7 +59,7 @@ class BrakeProcess:
         assert self._process.stdin is not None
         pipe = self._process.stdin.fileno()
         os.set_blocking(pipe, False)  # one that is stopped must not stop the guard
-        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, 4096)  # and is noticed after as many signs of life, 16 s
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PAGE)  # and is noticed once that is full
         self._ready = False
 
     def wait_ready(self, timeout: float) -> None:
@@ -101,7 +104,7 @@ class BrakeProcess:
     def beat(self) -> None:
         """A sign of life; never waits."""
         if self._armed:
-            self._say("")
+            self._say(_ALIVE)
 
     def close(self) -> None:
         """End it without braking; never raises."""
@@ -148,8 +151,8 @@ class Orders:
         return self.strength is not None and (self.ended or now - self.heard > SILENCE)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Watch over the agent; returns the exit code."""
+def main(arguments: Sequence[str], agent: TextIO) -> int:
+    """Watch over the agent, which reads `agent`; returns the exit code."""
     address, name, *joints = arguments
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends when the agent does
@@ -172,7 +175,7 @@ def main(arguments: Sequence[str]) -> int:
         ros.spin_once(_TURN if orders.strength is not None else 5 * _TURN)
         if not told and believed.sample is not None and publisher.get_subscription_count() > 0:
             told = True
-            print(_READY, flush=True)
+            print(_READY, file=agent)
         readable, _, _ = select.select([0], [], [], 0.0)
         if readable:
             orders.take(os.read(0, 65536), time.monotonic())
@@ -191,11 +194,12 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _run(arguments: Sequence[str]) -> Any:
-    code = 1
+    code, agent = 1, os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
+    os.dup2(2, 1)  # the middleware writes there, as where it finds no shared memory
     try:
-        code = main(arguments)
+        code = main(arguments, agent)
     except Exception as error:  # the agent reads it
-        print(f"{type(error).__name__}: {error}", flush=True)
+        print(f"{type(error).__name__}: {error}", file=agent)
     os._exit(code)  # rclpy may hang at the end
 
 

@@ -191,6 +191,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         if self._brake is None or not self._brake.alive:
             self._brake = BrakeProcess(self._text, link.joints, f"{link.name}_brake")
             self._brake.wait_ready(self._start_timeout)
+            link.forget()
         return _checksum(text)
 
     def start(self, name: str, checksum: str) -> None:

@@ -198,7 +198,8 @@ class RosLink(LinkThread):
     def pace(self) -> tuple[float, float]:
         """Samples a second by the stamps of the last seconds, and the 99th percentile of their age beyond the least."""
         began = time.monotonic()
-        there = self.wait(lambda: self.believed.at > began and self._span() >= 0.9 * OBSERVED, OBSERVED + self.watchdog)
+        until = 2 * OBSERVED + self.watchdog  # of a clock at half speed as well
+        there = self.wait(lambda: self.believed.at > began and self._span() >= 0.9 * OBSERVED, until)
         self.check()
         with self._changed:
             seen = np.array(self._seen)
@@ -221,6 +222,12 @@ class RosLink(LinkThread):
             )
         ages = seen[:, 1] - seen[:, 1].min()
         return (len(seen) - 1) / float(np.ptp(seen[:, 0])), float(np.quantile(ages, 0.99))
+
+    def forget(self) -> None:
+        """Leave out of `pace` how samples came so far: something else kept this computer busy."""
+        with self._changed:
+            while len(self._seen) > 1:
+                self._seen.popleft()
 
     def _span(self) -> float:
         return self._seen[-1][0] - self._seen[0][0] if self._seen else 0.0

@@ -93,7 +93,7 @@ class Ros2Motion(SampleStream):
         self._accepted: bool | None = None
         self._result: tuple[int, str] | None = None
         self._braked: float | None = None  # monotonic
-        self._brake_due = self._brake_sent = False
+        self._brake_due = self._brake_sent = self._doubtful = False
         self._polled = np.inf  # when time was looked at last, monotonic
         self._cancel_at = np.inf  # monotonic
         self._cancelled = False
@@ -140,16 +140,18 @@ class Ros2Motion(SampleStream):
     def send_brake(self) -> float | None:
         """Send the point that brakes the arm from where it is now; how long that takes [s]. Never raises.
 
-        Where even the newest sample is old, the arm is where its trajectory has it. After a brake nothing says where it
-        is: what runs is cancelled, and the point waits for a sample.
+        Where even the newest sample is old, or two sources contradict each other, the arm is where its trajectory has
+        it: the controller sees to that by its own tolerance. After a brake nothing says where it is: what runs is
+        cancelled, and the point waits for a sample.
         """
-        sample, velocity, now = self._link.latest, self._link.velocity, self._link.clock()
+        sample, velocity = self._link.latest, self._link.velocity
         if sample is None:
             return None
-        if now - sample.stamp <= _OLD:
-            state = sample.position + velocity * max(now - sample.stamp, 0.0), velocity
+        age = self._link.clock() - sample.stamp
+        if age <= _OLD and not self._doubtful:
+            state = sample.position + velocity * max(age, 0.0), velocity
         elif self.course is not None and not self._brake_sent:
-            state = self.course.at(now)
+            state = self.course.at(self.course.stamp - AHEAD + self._clock() - self._sent_at)
         else:  # it would be thrown back to where it was
             self._cancel()
             return None
@@ -172,6 +174,7 @@ class Ros2Motion(SampleStream):
         if self.over or self._phase == "idle":
             return None
         if sample is not self._link.latest:  # another arm's, or none
+            self._doubtful = True
             return self.brake(MotionStopped(self._link.doubt))
         step = sample.stamp - self._recent[-1][0] if self._recent else 0.0
         if abs(step) > _STEP:
