@@ -54,13 +54,13 @@ def estimate(source: Path | str, out: Path | str, console: Console | None = None
 
 @pytest.fixture(scope="session")
 def plant(arm: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six machines with two runs each, not to be changed; and a log of nonsense."""
+    """Four machines with two runs each, not to be changed; and a log of nonsense."""
     from agent.fleet.simulate import simulate_fleet
 
     folder = tmp_path_factory.mktemp("fleet") / "plant"
-    simulate_fleet(arm, 6, 2, 1, str(folder), rows=False)
-    (folder / "robot_0005" / "bad").mkdir()
-    (folder / "robot_0005" / "bad" / "a.mcap").write_text("nonsense", encoding="utf-8")
+    simulate_fleet(arm, 4, 2, 1, str(folder), rows=False)
+    (folder / "robot_0003" / "bad").mkdir()
+    (folder / "robot_0003" / "bad" / "a.mcap").write_text("nonsense", encoding="utf-8")
     return folder
 
 

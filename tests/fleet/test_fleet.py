@@ -24,7 +24,7 @@ def _single(command, plant: Path, row: dict, tmp_path: Path, *options: object) -
 def test_a_fleet_estimate_equals_the_single_command(command, plant: Path, estimated: Path, tmp_path: Path):
     rows = [row for row in rows_of(estimated) if row["status"] == "ok"]
     assert [(row["robot"], row["run"].split("/")[0]) for row in rows] == [
-        (f"robot_000{k}", f"robot_000{k}") for k in range(6) for _ in range(2)
+        (f"robot_000{k}", f"robot_000{k}") for k in range(4) for _ in range(2)
     ]
     for row in rows[::5]:
         model = tmp_path / "model.json"
@@ -42,8 +42,8 @@ def test_a_fleet_estimate_equals_the_single_command(command, plant: Path, estima
 
 
 def test_fleet_validation_and_diagnosis_equal_the_single_commands(command, plant, estimated, tmp_path: Path):
-    small = tmp_path / "plant" / "robot_0003"
-    shutil.copytree(plant / "robot_0003", small)
+    small = tmp_path / "plant" / "robot_0001"
+    shutil.copytree(plant / "robot_0001", small)
     model = estimated / next(row["model"] for row in rows_of(estimated) if row["robot"] == "robot_0002")
     command("fleet", "validate", small.parent, "--model", model, "-o", tmp_path / "v", "--allow-mixed")
     command("fleet", "diagnose", small.parent, "--model", model, "-o", tmp_path / "d", "--allow-mixed")
@@ -62,9 +62,9 @@ def test_fleet_validation_and_diagnosis_equal_the_single_commands(command, plant
 
 def test_a_logged_payload_is_used_by_diagnose_and_refused_by_other_commands(plant, estimated, tmp_path):
     """As with the single command: of a fleet nobody looks at every row."""
-    described = str(plant / "robot_0003" / "robot.yaml")
-    model = estimated / next(row["model"] for row in rows_of(estimated) if row["robot"] == "robot_0003")
-    silent = next((plant / "robot_0003").glob("*/*.mcap"))
+    described = str(plant / "robot_0001" / "robot.yaml")
+    model = estimated / next(row["model"] for row in rows_of(estimated) if row["robot"] == "robot_0001")
+    silent = next((plant / "robot_0001").glob("*/*.mcap"))
     log = read_log(silent)
     write_log(tmp_path / "a.mcap", replace(log, metadata={**log.metadata, "payload": "2 kg, 0 mm, 0 mm, 0 mm"}))
 
@@ -86,9 +86,9 @@ def test_a_logged_payload_is_used_by_diagnose_and_refused_by_other_commands(plan
 
 def test_an_unreadable_log_is_a_row_with_its_reason(estimated: Path):
     (row,) = (row for row in rows_of(estimated) if row["status"] != "ok")
-    assert (row["robot"], row["run"]) == ("robot_0005", "robot_0005/bad")
+    assert (row["robot"], row["run"]) == ("robot_0003", "robot_0003/bad")
     assert (row["status"], row["exit_code"]) == ("unreadable", 2)
-    assert row["reason"].startswith("robot_0005/bad/a.mcap: not an MCAP file")
+    assert row["reason"].startswith("robot_0003/bad/a.mcap: not an MCAP file")
 
 
 def test_processes_only_new_runs(command, plant: Path, estimated: Path, tmp_path: Path, monkeypatch):
@@ -101,21 +101,21 @@ def test_processes_only_new_runs(command, plant: Path, estimated: Path, tmp_path
         return told["done"], told["kept"]
 
     before = rows_of(out)
-    assert again() == (0, 13)
+    assert again() == (0, 9)
     log = next((here / "robot_0000").rglob("*.mcap"))
     shutil.copy(next((here / "robot_0001").rglob("*.mcap")), log)
-    assert again() == (1, 12), "another content"
+    assert again() == (1, 8), "another content"
     yaml = here / "robot_0002" / "robot.yaml"
     yaml.write_text(yaml.read_text("utf-8").replace("nominal_motor_torque: 1.0", "nominal_motor_torque: 2.0"))
-    assert again() == (2, 11), "its description"
-    urdf = here / "robot_0004" / "robot.urdf"
+    assert again() == (2, 7), "its description"
+    urdf = here / "robot_0002" / "robot.urdf"
     urdf.write_text(urdf.read_text("utf-8") + "\n")
-    assert again() == (2, 11), "and the URDF of that"
+    assert again() == (2, 7), "and the URDF of that"
     shutil.copytree(here / "robot_0001", here / "robot_0009")
-    assert again() == (2, 13), "a new machine"
+    assert again() == (2, 9), "a new machine"
     rows = {row["run"]: row for row in rows_of(out)}
-    assert len(rows) == 15
-    assert all(rows[row["run"]] == row for row in before if row["robot"] in ("robot_0001", "robot_0003", "robot_0005"))
+    assert len(rows) == 11
+    assert all(rows[row["run"]] == row for row in before if row["robot"] in ("robot_0001", "robot_0003"))
     assert list(rows) == sorted(rows)
 
 
@@ -123,8 +123,8 @@ def test_another_version_or_question_recomputes_the_rows(command, plant, estimat
     from agent.fleet import tasks
 
     here, out = tmp_path / "plant", tmp_path / "result"
-    shutil.copytree(plant / "robot_0005" / "bad", here / "bad")
-    shutil.copy(plant / "robot_0005" / "robot.yaml", here)
+    shutil.copytree(plant / "robot_0003" / "bad", here / "bad")
+    shutil.copy(plant / "robot_0003" / "robot.yaml", here)
 
     def done(*options: str) -> int:
         return command("fleet", "estimate", here, "-o", out, "--json", "-q", *options)["done"]

@@ -39,9 +39,9 @@ def test_machines_are_sorted_by_urgency_with_the_reason(command, tmp_path: Path)
 
 def test_a_failed_run_is_listed_as_a_reason_and_run_pages_are_linked(command, plant, estimated, tmp_path: Path):
     here, out = tmp_path / "plant", tmp_path / "result"
-    for robot in ("robot_0000", "robot_0005"):
+    for robot in ("robot_0000", "robot_0003"):
         shutil.copytree(plant / robot, here / robot)
-    shutil.copytree(plant / "robot_0005" / "bad", here / "robot_0007" / "bad")  # and no run with figures
+    shutil.copytree(plant / "robot_0003" / "bad", here / "robot_0007" / "bad")  # and no run with figures
     (page_of,) = [path for path in sorted((here / "robot_0000").iterdir()) if path.is_dir()][:1]
     (page_of / "report.html").write_text("<p>the run</p>", encoding="utf-8")
     shutil.copytree(estimated, out)
@@ -49,7 +49,7 @@ def test_a_failed_run_is_listed_as_a_reason_and_run_pages_are_linked(command, pl
     command("fleet", "estimate", here, "-o", out, "-q")
     write_page(str(out), out=str(tmp_path / "page.html"))
     machines = {one["robot"]: one for one in _data(tmp_path / "page.html")["machines"]}
-    for robot, reason in (("robot_0005", "not an MCAP file"), ("robot_0007", "no robot.yaml")):
+    for robot, reason in (("robot_0003", "not an MCAP file"), ("robot_0007", "no robot.yaml")):
         assert [reason in why for why in machines[robot]["why"]] == [True]
     assert (machines["robot_0007"]["joints"], machines["robot_0007"]["courses"]) == ([], [])
     links = [run[4] for run in machines["robot_0000"]["runs"]]

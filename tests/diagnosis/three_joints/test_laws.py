@@ -151,12 +151,29 @@ def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(ar
 @pytest.mark.parametrize(
     ("law", "causes", "named", "verdict"),
     [
-        (lambda q: np.sin(q - 0.4) + 0.5 * dahl(q, np.array([1e-3]))[:, 0], None, {"gravity_spring"}, None),
-        (lambda q: np.sin(q - 0.4) + 0.4 * _slide(q), None, {"gravity_spring", "dress_pack"}, "ambiguous"),
-        (lambda q: 10 + 0.6 * (q - 0.4) + 0.5 * dahl(q, np.array([0.1]))[:, 0], ["dress_pack"], set(), "explained"),
-        (lambda q: 0.4 + 0.3 * _slide(q), ["friction_change", "torque_offset"], set(), None),
+        pytest.param(
+            lambda q: np.sin(q - 0.4) + 0.5 * dahl(q, np.array([1e-3]))[:, 0],
+            *(None, {"gravity_spring"}, None),
+            id="that turns around at once",
+            marks=pytest.mark.verify,
+        ),
+        pytest.param(
+            lambda q: np.sin(q - 0.4) + 0.4 * _slide(q),
+            *(None, {"gravity_spring", "dress_pack"}, "ambiguous"),
+            id="or a spring",
+            marks=pytest.mark.verify,
+        ),
+        pytest.param(
+            lambda q: 10 + 0.6 * (q - 0.4) + 0.5 * dahl(q, np.array([0.1]))[:, 0],
+            *(["dress_pack"], set(), "explained"),
+            id="and a large constant",
+        ),
+        pytest.param(
+            lambda q: 0.4 + 0.3 * _slide(q),
+            *(["friction_change", "torque_offset"], set(), None),
+            id="that does not pull",
+        ),
     ],
-    ids=["that turns around at once", "or a spring", "and a large constant", "that does not pull"],
 )
 def test_a_hose_with_friction(arm, model, healthy, size, law, causes, named, verdict):
     """Inner friction that turns around at once is the joint's as well; an offset with friction is no hose."""
