@@ -766,7 +766,9 @@ def _unmeasured(site: Site) -> dict[str, Any]:
 
 
 def _last(site: Site) -> int:
-    """What decides comes first."""
+    """What claims to be numerical comes first, then what decides."""
+    if site.claims == "numerical":
+        return -1
     order = ("limits.py", "law.py", "evidence.py", "verdict.py", "search.py", "noise_model.py", "adequacy.py", "rows/")
     return next((place for place, name in enumerate(order) if name in site.path), len(order))
 

@@ -1,9 +1,3 @@
-from .baselines import (
-    Pick as Pick,
-    as_drawn as as_drawn,
-    d_optimal as d_optimal,
-    pieces_otherwise as pieces_otherwise,
-)
 from .deadline import Deadline as Deadline, OutOfTime as OutOfTime
 from .known_mass import LONGEST as LONGEST, WithMass as WithMass
 from .next_motion import (
@@ -14,7 +8,8 @@ from .next_motion import (
     clearer_with_mass as clearer_with_mass,
     plan_motion as plan_motion,
 )
+from .picking import Pick as Pick, d_optimal as d_optimal, together as together
 from .piece_choice import Experiment as Experiment, plan_experiment as plan_experiment
-from .pieces import KINDS as KINDS
+from .pieces import KINDS as KINDS, Piece as Piece, Pieces as Pieces
 from .questions import OpenPair as OpenPair, open_pairs as open_pairs
 from .scorer import ExperimentScorer as ExperimentScorer, tells_apart_by_load as tells_apart_by_load

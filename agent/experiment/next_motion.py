@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import Console, InputError
-from agent.diagnosis import Diagnosis
+from agent.diagnosis import LIMITS, Diagnosis
 from agent.estimation import known_positions
 from agent.excitation import Candidates, LoopProblem, LoopScore
 from agent.experiment.deadline import Deadline
@@ -25,8 +25,6 @@ from agent.recording import PARTS, PLANNED_PARTS
 from agent.robot import RobotDescription, Tool, TorqueLimits
 from agent.safety import PlannedProgram
 
-#: Loops that are tried to find the limit which none keeps.
-_TRIED = 20
 #: Share of the joint speeds between pieces. It is halved while the tool exceeds the recipe's speed by more than
 #: round-off and the speed is at least one of the whole percents that controllers take.
 _WAY_SPEED = 0.2
@@ -226,7 +224,7 @@ def _where_known(problem: LoopProblem, diagnosis: Diagnosis) -> LoopProblem:
 
 def _refused(problem: LoopProblem) -> str:
     """The limit that most loops in the sub-region break."""
-    genomes = np.random.default_rng(0).uniform(size=(_TRIED, problem.genes))
+    genomes = np.random.default_rng(0).uniform(size=(LIMITS.fewest, problem.genes))
     candidates = Candidates(problem)
     said = [loop.reason for loop in map(candidates.checked_loop, genomes) if isinstance(loop, LoopScore)]
     return max(set(said), key=said.count) if said else "the last candidate took too long"

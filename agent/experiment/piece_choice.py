@@ -10,8 +10,8 @@ import numpy as np
 
 from agent.diagnosis import LAW, Diagnosis
 from agent.excitation import LoopProblem
-from agent.experiment.baselines import d_optimal, together
 from agent.experiment.deadline import Deadline, OutOfTime
+from agent.experiment.picking import d_optimal, together
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
 from agent.experiment.scorer import ExperimentScorer, InformationGain

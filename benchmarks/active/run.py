@@ -23,7 +23,7 @@ import numpy as np
 from agent.core import AgentError, Console, finite, write_atomically
 from agent.diagnosis import Diagnosis, diagnose
 from agent.estimation import estimate
-from agent.experiment import KINDS, LONGEST, ExperimentScorer, NextMotion, Pick, as_drawn, d_optimal, pieces_otherwise
+from agent.experiment import KINDS, LONGEST, ExperimentScorer, NextMotion, Pick, d_optimal
 from agent.experiment.next_motion import RunnablePieces
 from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
@@ -32,6 +32,7 @@ from agent.pipeline.plan import Plan, loop_problem, make_plan, program_text
 from agent.recipe import Recipe, load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
 from agent.robot import Tool
+from benchmarks.active.baselines import as_drawn, pieces_otherwise
 from benchmarks.active.scoring import WAYS, class_of
 from drivers.errors import DriverError
 from fake_controller.withheld.cases import Case

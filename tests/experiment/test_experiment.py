@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import MotionCoverage, diagnose
-from agent.experiment import Deadline, as_drawn, d_optimal, open_pairs, pieces_otherwise, plan_experiment
+from agent.experiment import Deadline, d_optimal, open_pairs, plan_experiment
 from agent.experiment.pieces import GridMotion, Pieces
 from agent.experiment.questions import OpenPair, Side
 from agent.experiment.scorer import ExperimentScorer, background_on
 from agent.model import CATALOGUE, MotionSignals
 from agent.robot import kinematics_for
+from benchmarks.active.baselines import as_drawn, pieces_otherwise
 from fake_controller.plant import Plant
 from tests.experiment.examples import one_sided, wave
 from tests.small_arms import learn, record

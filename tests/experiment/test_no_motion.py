@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.core import AgentError, Console, InputError, RejectedError, write_atomically
-from agent.experiment import KINDS, LONGEST, Experiment, NextMotion, NoMotion, as_drawn, known_mass, next_motion
+from agent.experiment import KINDS, LONGEST, Experiment, NextMotion, NoMotion, known_mass, next_motion
 from agent.experiment.pieces import Pieces
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files
@@ -21,6 +21,7 @@ from agent.recording import write_log
 from agent.robot import load_robot
 from agent.safety import PlannedProgram
 from benchmarks.active import run as active
+from benchmarks.active.baselines import as_drawn
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
 

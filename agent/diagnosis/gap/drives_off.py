@@ -17,17 +17,16 @@ from agent.diagnosis.hypotheses.score import Evaluated
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
-from agent.model import IdentifiedModel
+from agent.model import Effect, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR
 
-_STANDS = 0.01  # rad or m: brakes give
 _LEAST = 1.0  # s
 _OUTLIER = 5.0  # standard errors: a log of another day says no more against any hypothesis
 _HOLDS = 0.3  # of the torque that holds the arm: so near to it
 _BEYOND = 1.0  # of nominal torque: no zero of a channel
-_NOTABLE = 0.02  # of nominal torque: more shows
+_NOTABLE = 2 * Effect.practical  # of nominal torque: more shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
             f"and {LIMITS.fewest} samples at least"
         )
     for joint, travel in zip(robot.joints, np.ptp(log.position, axis=0), strict=True):
-        if travel > _STANDS:
+        if travel > LIMITS.least_travel:
             unit = "m" if joint.prismatic else "rad"
             raise InputError(
                 f"{log.name}: {joint.name} moves by {travel:.2g} {unit}: with the drives off the brakes hold an arm"

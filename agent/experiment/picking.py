@@ -1,7 +1,4 @@
-"""Baselines of an experiment with the same motion time: random and D-optimal motions.
-
-They are loops through via-points of the sub-region at several speeds, as an excitation or a validation is, or pieces of
-all the kinds that an experiment is put together from: what its kinds are worth, and what choosing them is.
+"""Pieces that are picked one after the other, and the pick that determines the model's own parameters best.
 
 D-optimal (Kiefer and Wolfowitz, Canadian J. Mathematics 12, 1960): the pieces that, with all earlier motions, make the
 determinant of the information on the model's own parameters largest. That is what an excitation loop is chosen for; it
@@ -10,55 +7,26 @@ knows nothing of rivals.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from agent.diagnosis import Dataset
-from agent.excitation import LoopProblem
-from agent.experiment.pieces import KINDS, GridMotion, Piece, Pieces
-
-#: Pieces that are drawn, to choose from.
-_POOL = 80
+from agent.experiment.pieces import GridMotion, Piece
 
 #: Of the pieces that still fit (the second) the one that comes after those that are chosen (the first).
 Pick = Callable[[Sequence[Piece], Sequence[Piece]], Piece]
 
 
-def pieces_otherwise(
-    pick: Pick,
-    problem: LoopProblem,
-    seconds: float,
-    seed: int,
-    runnable: Callable[[Sequence[Piece]], bool],
-    kinds: Mapping[str, float] = KINDS,
-) -> tuple[Piece, ...]:
-    """Of drawn pieces one after the other while one fits into the time; the last left out while they cannot be run.
-
-    As many as the time takes: every use of it is to have the same. How long the ways between them take is up to
-    `runnable`.
+def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
+    """Pieces picked one after the other while one fits into the time.
 
     Args:
         pick: chooses the next of the pieces that fit.
-        problem: sub-region and limits of the motion.
-        seconds: longest motion [s].
-        seed: of the draw.
-        runnable: whether pieces can run one after the other.
-        kinds: of pieces, and how often each is drawn.
-
-    Raises:
-        InputError: as `agent.excitation.Candidates`.
+        pool: pieces to choose from.
+        seconds: of all pieces together [s].
+        begun: pieces that it begins with.
     """
-    pieces = Pieces(problem, range(problem.robot.dof), seconds, np.random.default_rng(seed), kinds)
-    pool = [piece for piece in (pieces.draw() for _ in range(_POOL)) if piece is not None]
-    chosen = together(pick, pool, seconds)
-    while chosen and not runnable(chosen):
-        chosen.pop()
-    return tuple(chosen)
-
-
-def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
-    """Pieces picked one after the other while one fits into the time, after those that it begins with."""
     chosen = list(begun)
     remaining = seconds - sum(piece.duration for piece in chosen)
     while True:
@@ -69,11 +37,6 @@ def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[
             return chosen
         chosen.append(pick(chosen, options))
         remaining -= chosen[-1].duration
-
-
-def as_drawn(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
-    """Pieces at random."""
-    return options[0]
 
 
 def d_optimal(dataset: Dataset, information_of: Callable[[GridMotion], np.ndarray]) -> Pick:
