@@ -201,7 +201,7 @@ def _parser() -> argparse.ArgumentParser:
     watchdog = _between(float, 0.05, 5.0, "watchdog here")
     add("--watchdog", type=watchdog, help="shortest [s] that a client is granted, 0.05 to 5")
     add("--scenario", type=Path, help="what is set up and what goes wrong; docs/scenarios.md")
-    add("--effects", type=Path, help="JSON list of effects to build into the arm")
+    add("--effects", type=Path, help="JSON file: a list of effects to build into the arm")
     add("--list-effects", action="store_true", help="print the effects and their parameters, and end")
     add("--model", type=Path, help="model file that the arm is to be like, effects included")
     add(

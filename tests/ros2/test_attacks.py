@@ -573,7 +573,7 @@ def test_in_motion(scene, measured, name):
     assert ended in (code if isinstance(code, tuple) else (code,)), output
     assert re.search(said, output), output
     assert took <= patience(soon)
-    if "ahead" not in name and "trajectory" not in name:
+    if not re.search("ahead|trajectory|150 %", name):  # there the controller itself is faster
         assert fastest <= 1.6 * PACE, "the stop threw the arm"
     assert scene.bench.motions_started() <= 4
 
