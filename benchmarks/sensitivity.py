@@ -324,16 +324,21 @@ def changed(site: Site, factor: float) -> Iterator[None]:
                     object.__setattr__(each, site.name, varied(before, factor))
                     undo.callback(object.__setattr__, each, site.name, before)
         else:
-            value = getattr(module, site.name)
-            new_value = varied(value, factor)
-            for name, other in list(sys.modules.items()):
-                if name.startswith("agent.") and vars(other).get(site.name) is value:
-                    undo.enter_context(mock.patch.object(other, site.name, new_value))
-                    for owner, follower, now in list(_followers(other, site.name)):
-                        undo.enter_context(mock.patch.object(owner, follower, now))
+            new_value = varied(getattr(module, site.name), factor)
+            for other in _holding(site):
+                undo.enter_context(mock.patch.object(other, site.name, new_value))
+                for owner, follower, now in list(_followers(other, site.name)):
+                    undo.enter_context(mock.patch.object(owner, follower, now))
         undo.callback(_forget, module)
         _forget(module)
         yield
+
+
+def _holding(site: Site) -> list[Any]:
+    """The module of a constant, and those that import it by its name."""
+    value = getattr(importlib.import_module(site.module), site.name)
+    modules = [module for name, module in sys.modules.items() if name.startswith("agent.")]
+    return [module for module in modules if vars(module).get(site.name) is value]
 
 
 def _followers(module: Any, name: str) -> Iterator[tuple[Any, str, Any]]:
@@ -691,8 +696,12 @@ class Bench:
     def _readers(self, site: Site) -> set[tuple[str, int]]:
         if site.symbol is None:
             return {(str(ROOT / site.path), line) for line in self._span(site)}
-        lines = self._by_symbol.get(site.symbol, set())
-        return {at for at in lines if at[0] == str(ROOT / site.path)} if site.symbol.startswith("_") else lines
+        if site.kind != "module":
+            return self._by_symbol.get(site.symbol, set())
+        holding = _holding(site)
+        names = {site.symbol, *(name for module in holding for _, name, _ in _followers(module, site.symbol))}
+        files = {module.__file__ for module in holding}
+        return {at for name in names for at in self._by_symbol.get(name, set()) if at[0] in files}
 
     def _span(self, site: Site) -> set[int]:
         """Lines of the statements that hold an inline number."""
@@ -708,9 +717,10 @@ class Bench:
         known: dict[str, set[tuple[str, int]]] = {}
         for package in PACKAGES:
             for path in (ROOT / package).rglob("*.py"):
-                for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+                functions = (n for n in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(n, ast.FunctionDef))
+                for node in (node for function in functions for part in function.body for node in ast.walk(part)):
                     name = node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", None)
-                    if name:
+                    if name and isinstance(node.ctx, ast.Load):
                         span = range(node.lineno, (node.end_lineno or node.lineno) + 1)
                         known.setdefault(name, set()).update((str(path), line) for line in span)
         return known
@@ -801,8 +811,9 @@ def page(rows: Sequence[dict[str, Any]]) -> str:
         "",
         "Each number is halved and doubled while small runs are diagnosed: emulated arms, arms of another world, and",
         "logs of real arms. `2 + 1` means: the verdict, the first cause or the first joint differs in two runs. The",
-        "probability of the first cause moves by over 0.05 in one further run. `benchmarks/sensitivity.py` writes",
-        "this page and says which numbers are left out. No number is chosen by it.",
+        "probability of the first cause moves by over 0.05 in one further run. `3 of 20` runs: the number is varied in",
+        "three runs that come to it, of a set of 20. `benchmarks/sensitivity.py` writes this page and says which",
+        "numbers are left out. No number is chosen by it.",
         "",
         f"{len(deciding)} numbers decide: {len(measured)} measured, of which {sum(map(bool, map(_changes, measured)))} "
         f"change an answer or a probability and {len(idle)} are in code that no run reaches. "
