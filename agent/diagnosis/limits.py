@@ -111,11 +111,16 @@ class DecisionLimits:
         "chosen: the filter's reach",
     )
     blocks: int = known(5, "parts", "of a log that is compared with itself", "chosen")
-    shortest: float = known(3.0, "s", "of the only log", "chosen: five folds with guards")
 
     def expected_share(self, relative: np.ndarray) -> float:
         """Share of torque that a right simulator's file leaves on every joint, where its numbers leave these (n,)."""
         return float(np.clip(self.of_the_middle * np.median(relative), self.least_error, self.unknown_error))
+
+    @property
+    def shortest(self) -> float:
+        """Shortest only log [s]: all its blocks have guards on both sides, and as much between them."""
+        guards = 2 * self.independent * self.blocks
+        return 2 * guards + guards
 
     @property
     def weak_model(self) -> float:

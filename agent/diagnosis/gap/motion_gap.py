@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _RATES = np.linspace(0.94, 1.06, 9)  # numerical: where the fit of a rate may start
 _BLENDS = 26  # numerical: times that are tried, `path_time` apart
 _ROWS = 3000  # numerical: of a log, for the fit of rate and shift
-_REST = 0.006  # s: the shortest standstill of set-points that is a stop
+_REST = 0.006  # numerical: s: the shortest standstill of set-points that is a stop
 
 
 @dataclass(frozen=True, eq=False)

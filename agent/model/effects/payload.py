@@ -17,7 +17,7 @@ _START = ("m0", "hx0", "hy0", "hz0")
 _POINT = "point_mass"  # in settings without an inertia of its own
 _USUAL = (20.0, 5.0, 0.5, 2.0)  # kg, kg·m, kg·m² of a ball's own and of a link's inertia: standard deviations of a load
 _LEAST_RADIUS = 0.05  # m of an inertia m r²
-_LEAST_MASS = 0.01  # kg
+_LEAST_MASS = 0.01  # numerical: kg, as forms divide by it
 _BALL = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
 
 
