@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from agent.cli.app import app
 from agent.core import InputError
 from agent.data_quality import check_quality, spoiled
 from agent.estimation import EstimationSettings, estimate
@@ -54,6 +56,16 @@ def test_the_arm_of_a_table_is_found(tmp_path, folder, mapping, tables):
     assert "position: pan from" in notes
     assert log.t[-1] < 30
     _check_arm(robot, log)
+
+
+def test_a_model_of_an_arm_with_a_parked_joint_is_written(tmp_path):
+    """Its torque is exactly zero, so nothing of it is left to compare effects with."""
+    _imported("04-parked-joint", "map.yaml", ["log.csv"], tmp_path)
+    arm, out = str(FILES / "04-parked-joint/arm.urdf"), tmp_path / "model.json"
+    shown = CliRunner().invoke(app, ["estimate", "--robot", arm, str(tmp_path / "log.mcap"), "-o", str(out)])
+    assert shown.exit_code == 0, shown.output
+    assert re.search(r"pan +stood still", shown.stdout)
+    assert out.is_file()
 
 
 def test_the_arm_of_two_is_taken_by_the_names_of_the_columns(tmp_path):
