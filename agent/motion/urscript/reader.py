@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agent.motion import rotation
+from agent.motion.fly.fly_parameters import LONGEST
 from agent.motion.program import (
     NO_FRAME,
     CartesianTarget,
@@ -150,7 +151,7 @@ class _ScriptRun:
         self._values: ChainMap[str, Any] = ChainMap({"True": True, "False": False})
         self._defined: dict[str, tuple[ScriptLine, ChainMap[str, Any]]] = {}
         self._settings = UrSettings(base=NO_FRAME, uframe=NO_FRAME)
-        self._left = _LONGEST
+        self._left, self._waited = _LONGEST, 0.0
 
     def block(self, lines: list[ScriptLine], depth: int) -> Iterator[Statement]:
         for line in lines:
@@ -231,7 +232,11 @@ class _ScriptRun:
             yield from self.block(routine.block, depth + 1)
             self._values = caller
         elif name == "sleep":
-            yield Delay(_number(given[0], least=0.0))
+            seconds = _number(given[0], least=0.0)
+            self._waited += seconds
+            if self._waited > LONGEST and not self._program.lenient:
+                raise ValueError(f"the program sleeps for more than {LONGEST:g} s up to here; run it in parts")
+            yield Delay(seconds)
         elif name == "set_tcp":
             self._settings = self._settings.changed(tool=frame_of(given[0]))
         elif name in ("set_payload", "set_target_payload"):

@@ -192,6 +192,8 @@ DOUBTFUL = {
     "else of a loop": ["i = 0", "while i < 0:", "sync()", "else:", turned_to(1), "end"],
     "two elses": ["if False:", "sync()", "else:", "sync()", "else:", turned_to(1), "end"],
     "rest before its time": ["sleep(-1)"],
+    "rest without an end": ["sleep(1e9)"],
+    "rests of hours": ["i = 0", "while i < 3:", "sleep(1800)", "i = i + 1", "end"],
     "gravity": ["set_gravity([0, 0, -9.82])"],
 }
 
