@@ -23,10 +23,11 @@ from scipy.spatial.transform import Rotation
 
 from agent.core import InputError, RejectedError
 from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, seen_from
-from agent.robot import ParameterLayout, about_centre
+from agent.robot import LINK_PARAMETERS, ParameterLayout, about_centre
 from agent.simulators.flange import flange_of
 
 _MOMENT = ("moment_x", "moment_y", "moment_z")
+_INERTIA = tuple(f"inertia_{axes}" for axes in ("xx", "xy", "yy", "xz", "yz", "zz"))
 _ROUND_OFF, _UNFELT = 1e-9, 1e6  # kg·m, where no torque of the arm depends on a moment
 #: m²: 2 |c| δ, by which an inertia about the centre is off where a centre at |c| = 0.5 m is rounded to δ = 1 µm.
 _ROUNDED = 1e-6
@@ -61,19 +62,20 @@ class IdentifiedLoad:
 
 
 def identified_load(model: IdentifiedModel, flange: str | None = None) -> IdentifiedLoad:
-    """The load of a model: the sum of its payload effects; `flange` names the frame that it is given in.
+    """The load of a model: the sum of what it adds to the link that carries a load; `flange` names its frame.
 
     Raises:
         InputError: it has none, or the flange is not known.
         RejectedError: its mass or inertia is impossible for a body.
     """
-    entries = [entry for entry in model.effects if CATALOGUE[entry.effect].numbers == "load"]
+    robot = model.robot
+    entries = [load for load in (_load_of(entry, robot.load_link) for entry in model.effects) if load is not None]
     if not entries:
         raise InputError(
             "the model has no identified load, so there is none to export: find one with agent diagnose --model MODEL "
             "LOG... -o WITH_LOAD.json, on logs with the load mounted, and export that model"
         )
-    robot, frame = model.robot, flange_of(model.robot, flange)
+    frame = flange_of(robot, flange)
     block = np.sum([_parameters(_at_least_a_point(entry), robot.dof) for entry in entries], axis=0)
     if block[0] <= 0:
         raise RejectedError(
@@ -109,6 +111,21 @@ def _possible_inertia(inertia: np.ndarray, mass: float) -> np.ndarray:
     return np.asarray(np.trace(second) * np.eye(3) - second)
 
 
+def _load_of(entry: ModelEffect, link: int) -> ModelEffect | None:
+    """The entry as a load: itself, or other inertial parameters of the link that carries one, which torque does not
+    distinguish from it; None where it is neither."""
+    numbers = CATALOGUE[entry.effect].numbers
+    if numbers != "links" or int(entry.parameters["link"]) != link + 1:
+        return entry if numbers == "load" else None
+    own = tuple(f"{name}{link + 1}" for name in LINK_PARAMETERS)
+    names = dict(zip(own, ("mass", *_MOMENT, *_INERTIA), strict=True))
+    parameters, intervals = (
+        {names[name]: value for name, value in each.items() if name in names}
+        for each in (entry.parameters, entry.intervals)
+    )
+    return ModelEffect("payload", (), parameters, intervals)
+
+
 def _parameters(load: ModelEffect, dof: int) -> np.ndarray:
     """(10,) inertial parameters in the last link's frame."""
     numbers = CATALOGUE[load.effect].simulator_numbers(load.parameters, dof)
@@ -118,9 +135,12 @@ def _parameters(load: ModelEffect, dof: int) -> np.ndarray:
 
 
 def _at_least_a_point(entry: ModelEffect) -> ModelEffect:
-    """The load with a negative own inertia set to zero: a point mass."""
+    """The load with a negative own inertia set to zero: a point mass. A ball's inertia is that of its own mass and
+    centre, not of those that it was linearised at."""
+    at = {f"h{name[-1]}0" if name in _MOMENT else "m0": entry.parameters[name] for name in ("mass", *_MOMENT)}
+    at = at if "m0" in entry.parameters else {}
     own = {"inertia": 0.0} if entry.parameters.get("inertia", 0.0) < 0 else {}
-    return replace(entry, parameters={**entry.parameters, **own})
+    return replace(entry, parameters={**entry.parameters, **at, **own})
 
 
 def _errors(

@@ -1,6 +1,7 @@
 """Parameters that no machine can have are no causes, and what stiction leaves open is no gap."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -49,6 +50,16 @@ def test_no_gear_warms_up_in_a_second_and_no_load_has_negative_inertia(reference
     settings = {"m0": 2.0, "hx0": 0.2, "hy0": 0.0, "hz0": 0.0}
     for inertia, fine in ((0.01, True), (-0.02, False)):
         assert possible(reference, "payload", settings, {**load, "inertia": inertia}) == fine
+
+
+def test_a_load_without_a_clear_inertia_of_its_own_is_compared_as_a_point_too():
+    """Noise takes a point's inertia below zero, as which a ball is impossible and the load would not be found."""
+
+    def forms(inertia: float) -> list[bool]:
+        fitted = SimpleNamespace(fit=lambda *_: np.array([2.0, 0.12, 0.0, 0.1, inertia]))
+        return ["inertia" in CATALOGUE["payload"].names(form) for form in CATALOGUE["payload"].settings(fitted, ())]
+
+    assert [forms(inertia) for inertia in (-0.0007, 0.0005, 0.01)] == [[True, False], [True, False], [True]]
 
 
 def test_a_spring_torque_stays_within_the_joint_limit(reference):

@@ -13,10 +13,12 @@ from typer.testing import CliRunner
 from agent.cli import main
 from agent.cli.app import app
 from agent.core import InputError, RejectedError
-from agent.model import IdentifiedModel, ModelEffect
+from agent.model import CATALOGUE, IdentifiedModel, ModelEffect
+from agent.robot import LINK_PARAMETERS
 from agent.simulators import identified_load, load_text
 from tests.estimation.test_export import bodies, described, joint, model_of
 
+PAYLOAD = CATALOGUE["payload"]
 #: The flange lies turned and shifted in the last link.
 FLANGE = (np.array([0.1, 0.0, 0.2]), (0.3, -0.7, 1.1))
 LINKS = (
@@ -173,6 +175,31 @@ def test_intervals_go_to_stderr_if_the_format_has_no_comments(bare: IdentifiedMo
     assert read_franka(shown.stdout)[0] == pytest.approx(1.5)
     assert "point mass" in shown.stderr
     assert "intervals are not in the model" in shown.stderr
+
+
+def test_other_parameters_of_the_last_link_are_a_load(bare: IdentifiedModel) -> None:
+    """No torque tells them from it; those of another link are none."""
+    load = carried(*points(4))
+    names = dict(zip(PAYLOAD.names({}), LINK_PARAMETERS, strict=True))
+
+    def of_link(number: int) -> IdentifiedModel:
+        parameters = {f"{names[name]}{number}": value for name, value in load.parameters.items()}
+        intervals = {f"m{number}": (load.parameters["mass"] - 0.1, load.parameters["mass"] + 0.1)}
+        return replace(bare, effects=(ModelEffect("inertial_mismatch", (), {"link": number, **parameters}, intervals),))
+
+    expected, found = identified_load(replace(bare, effects=(load,))), identified_load(of_link(2))
+    assert found.mass_error == pytest.approx(0.1)
+    np.testing.assert_allclose(found.centre, expected.centre)
+    np.testing.assert_allclose(found.inertia, expected.inertia, atol=1e-12)
+    with pytest.raises(InputError, match="no identified load"):
+        identified_load(of_link(1))
+
+
+def test_a_ball_is_one_of_its_own_mass_and_centre(bare: IdentifiedModel) -> None:
+    """Not of those, a little off, that its inertia was linearised at: a point would be no possible body."""
+    entry = ball(2.0, np.array([0.1, 0.0, 0.3]), None)
+    off = replace(entry, parameters={**entry.parameters, "m0": 1.99, "hz0": entry.parameters["hz0"] + 0.01})
+    np.testing.assert_allclose(identified_load(replace(bare, effects=(off,))).inertia, 0.0, atol=1e-9)
 
 
 def test_several_loads_are_combined(bare: IdentifiedModel) -> None:

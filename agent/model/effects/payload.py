@@ -25,9 +25,9 @@ class Payload(Effect):
     """A ball of mass m at c: columns of the last link for m, h = m c, and I = (hᵀh E − h hᵀ) / m + i E.
 
     I is homogeneous of degree one in (m, h), so with its derivatives at (m₀, h₀) the torque is exactly linear there;
-    (m₀, h₀) start from a fit of all ten parameters of the last link and settle in a few rounds (Gauss-Newton). Where
-    its own inertia i comes out below zero, as torque that is scaled wrongly makes it, it is a point: i = 0 is its
-    border. A load that was taken off is the same with every sign changed.
+    (m₀, h₀) start from a fit of all ten parameters of the last link and settle in a few rounds (Gauss-Newton). A point
+    with i = 0 is compared too where i is not clearly above zero: noise, and torque that is scaled wrongly, take it
+    below. A load that was taken off is the same with every sign changed.
     """
 
     name = "payload"
@@ -49,15 +49,14 @@ class Payload(Effect):
     nonlinear = ()
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
-        settled: dict[str, float] = {}
-        start = settled
+        start: dict[str, float] = {}
         for _ in range(_ROUNDS):
             values = context.fit(self, joints, start)
             if not abs(values[0]) > _LEAST_MASS:
                 return []
-            settled, start = start, dict(zip(_START, map(float, values[:4]), strict=True))
-        whole = self._has_inertia(dict(zip(self.names(settled), values, strict=True)))
-        return [start if whole else {**start, _POINT: 1.0}]
+            start = dict(zip(_START, map(float, values[:4]), strict=True))
+        known = self._own(dict(zip(self.names(start), values, strict=True))) > BELOW_ZERO
+        return [start] if known else [start, {**start, _POINT: 1.0}]
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
         first = ("mass", "moment_x", "moment_y", "moment_z")
@@ -81,17 +80,18 @@ class Payload(Effect):
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
         moment = np.array([values["moment_x"], values["moment_y"], values["moment_z"]])
         mass = abs(values["mass"])
-        return mass > _LEAST_MASS and float(np.linalg.norm(moment)) < mass and self._has_inertia(values)
+        return mass > _LEAST_MASS and float(np.linalg.norm(moment)) < mass and self._own(values) > -BELOW_ZERO
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         added = np.array([values[name] for name in self.names(values)])
         return SimulatorNumbers(body=(load_link, np.asarray(ball(values) @ added if "m0" in values else added)))
 
-    def _has_inertia(self, values: Numbers) -> bool:
-        """Whether a ball's own inertia, counted as its mass is, is not clearly below zero."""
+    @staticmethod
+    def _own(values: Numbers) -> float:
+        """A ball's own inertia, counted as its mass is, over that of its mass at the distance of its centre."""
         mass, *moment = (values[name] for name in ("mass", "moment_x", "moment_y", "moment_z"))
         radius = max(float(np.linalg.norm(moment)) / abs(mass), _LEAST_RADIUS)
-        return values.get("inertia", 0.0) / mass > -BELOW_ZERO * radius**2
+        return values.get("inertia", 0.0) / mass / radius**2
 
 
 def _last_link(signals: MotionSignals, regressor: np.ndarray) -> np.ndarray:
