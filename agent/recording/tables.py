@@ -14,14 +14,10 @@ from typing import Any, Literal
 import numpy as np
 
 from agent.core import InputError, needed, open_regular
-from agent.recording.text_tables import ColumnTable, Row, read_text, table_of_rows
+from agent.recording.text_tables import CELL, MOST_CELLS, ColumnTable, Row, check_size, read_text, table_of_rows
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
-#: Numbers that one table may hold: an hour of 37 columns at 500 Hz, 512 MiB in memory.
-_MOST_VALUES = 2**26
-#: Cells of a workbook, 16 columns of as many rows as Excel allows, and bytes of one as text.
-_MOST_CELLS, _CELL = 2**24, 64
 _MAT_HEADER, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15  # bytes, bytes, data type
 _PIECE = 2**20  # bytes
 #: From this mark of MATLAB 7.3 on, a variable is an object of a class.
@@ -59,20 +55,24 @@ def read_table(path: Path) -> ColumnTable:
     return table
 
 
-def _check_values(path: Path, values: int, most: int = _MOST_VALUES, size: int = 8) -> None:
-    """Raise InputError if these are more values, each of `size` bytes, than a table may hold."""
-    if values > most:
-        raise InputError(
-            f"{path}: holds more than {most} values ({most * size >> 20} MiB in memory), the limit for one "
-            "table; split the recording, or leave out columns that are not needed"
-        )
-
-
 def _check_unzipped(path: Path) -> None:
     """Check what a zipped table (.npz, .xlsx) says it unpacks to; any other file takes no more than its own size."""
     if zipfile.is_zipfile(path):
         with zipfile.ZipFile(path) as file:
-            _check_values(path, sum(entry.file_size for entry in file.infolist()) // 8)
+            check_size(path, sum(entry.file_size for entry in file.infolist()) // 8)
+
+
+def _check_cells(path: Path) -> None:
+    """Look for a text in a workbook that is longer than any cell of Excel (32 767 characters) can be."""
+    with zipfile.ZipFile(path) as file:
+        for entry in file.infolist():
+            with file.open(entry) as part:
+                while len(piece := part.read(_PIECE)) == _PIECE:
+                    if b"<" not in piece:
+                        raise InputError(
+                            f"{path}: {entry.filename} holds a text of {_PIECE >> 20} MiB or more, and cells of Excel "
+                            "hold 32 767 characters: this is no table of samples; export one"
+                        )
 
 
 def _check_mat(path: Path) -> None:
@@ -91,7 +91,7 @@ def _check_mat(path: Path) -> None:
                         unpacked += len(unpack.decompress(data, _PIECE))
                     except zlib.error:
                         return
-                    _check_values(path, unpacked // 8)
+                    check_size(path, unpacked // 8)
                     data = unpack.unconsumed_tail
             file.seek(end)
 
@@ -161,7 +161,7 @@ def _read_hdf5(path: Path) -> ColumnTable:
             variables.objects[name.replace("/", ".")] = kind
         elif isinstance(item, h5py.Dataset) and item.shape and not name.startswith("#") and kind != "char":
             sizes.append(item.size)
-            _check_values(path, sum(sizes))
+            check_size(path, sum(sizes))
             # MATLAB stores its matrices column by column, so they come transposed
             variables.add(name.replace("/", "."), item[()].T if "MATLAB_class" in item.attrs else item[()])
 
@@ -188,6 +188,7 @@ def _read_workbook(path: Path) -> ColumnTable:
     """The sheet with the most rows. Cells are counted as they come: one cell far off makes a row of 16 384."""
     openpyxl = needed("openpyxl", f"{path}: reading Excel", "tables")
     _check_unzipped(path)
+    _check_cells(path)
     book, longest, cells = openpyxl.load_workbook(path, read_only=True, data_only=True), list[Row](), 0
     for sheet in book.worksheets:
         sheet.reset_dimensions()  # what the file says its size is need not be true
@@ -195,7 +196,7 @@ def _read_workbook(path: Path) -> ColumnTable:
         for values in sheet.values:
             if any(value is not None for value in values):
                 cells += len(values)
-                _check_values(path, cells, _MOST_CELLS, _CELL)
+                check_size(path, cells, MOST_CELLS, CELL)
                 rows.append(Row([_text(value) for value in values]))
         longest = max(longest, rows, key=len)
     book.close()
@@ -226,7 +227,7 @@ def _read_parquet(path: Path) -> ColumnTable:
         groups = [file.metadata.row_group(k) for k in range(file.metadata.num_row_groups)]
         parts = [(group.column(k), group.num_rows) for group in groups for k in range(group.num_columns)]
         sizes = [max(part.num_values, rows) for part, rows in parts if part.path_in_schema.split(".")[0] in names]
-        _check_values(path, sum(sizes))
+        check_size(path, sum(sizes))
         content = file.read(names).flatten()  # fields of structs become columns
     variables = _Variables()
     for name in content.column_names:

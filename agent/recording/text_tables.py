@@ -9,9 +9,10 @@ from __future__ import annotations
 import codecs
 import contextlib
 import csv
+import io
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
@@ -19,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core import InputError, counted
+from agent.core import InputError, counted, open_regular
 
 _HIDDEN = re.compile(r'"[^"]*"|\[[^\[\]]*\]|\([^()]*\)')
 _VECTOR = re.compile(r"(?:[a-z_.]+\()?(?:'\w',)?\s*\[([^\[\]]*)\][^\[\]]*|[({]([^\[\]]*)[)}]")
@@ -31,6 +32,12 @@ _CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
 _KIND = {"[": "[", "]": "[", "(": "(", ")": "("}
 #: Characters of the longest number: more digits are no measurement, and take long to read.
 _LONGEST = 400
+#: Characters of a line: 64 for each field of the widest row, the 16 384 columns of a sheet of Excel.
+_LONGEST_LINE, _WIDEST = 2**20, 2**14
+#: Numbers that one table may hold: an hour of 37 columns at 500 Hz, 512 MiB in memory.
+MOST_VALUES = 2**26
+#: Cells of text, 16 columns of as many rows as Excel allows, and bytes of one.
+MOST_CELLS, CELL = 2**24, 64
 #: What programs write for a number that is missing.
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf"}
 #: Types of UR's RTDE: code of NumPy, and how many of them.
@@ -147,13 +154,50 @@ codecs.register_error("windows", _windows)
 
 def read_text(path: Path) -> ColumnTable:
     """Comma, semicolon, tab, | or blanks between the fields, which may stand in double quotes; decimal commas where the
-    comma separates nothing."""
-    content = path.read_bytes()
-    if (table := _packed_table(path, content)) is not None:
+    comma separates nothing.
+
+    Raises:
+        InputError: no row of numbers, or more than a table may hold.
+    """
+    if (table := _packed_table(path)) is not None:
         return table
-    encoding = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
-    lines = [line for line in content.decode(encoding, errors="windows").splitlines() if line.strip()]
-    return _plain_table(path, lines) or table_of_rows(path, _rows(lines))
+    lines = _lines(path)
+    return _plain_table(path, lines) or table_of_rows(path, _rows(path, lines))
+
+
+def check_size(path: Path, count: int, most: int = MOST_VALUES, size: int = 8) -> None:
+    """Raise InputError if these are more values, each of `size` bytes, than a table may hold."""
+    if count > most:
+        raise InputError(
+            f"{path}: holds more than {most} values ({most * size >> 20} MiB in memory), the limit for one "
+            "table; split the recording, or leave out columns that are not needed"
+        )
+
+
+def check_width(path: Path, row: int, width: int) -> None:
+    """Raise InputError if a row has more fields than a table of samples has columns."""
+    if width > _WIDEST:
+        raise InputError(f"{path}: row {row} has more than {_WIDEST} fields: this is no table of samples, one in a row")
+
+
+def _lines(path: Path) -> list[str]:
+    """Lines that are not blank. A line without an end is not read to its end."""
+    lines, number, characters = list[str](), 0, 0
+    with open_regular(path) as file:
+        marked = file.peek(2).startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = io.TextIOWrapper(file, "utf-16" if marked else "utf-8-sig", errors="windows")
+        while line := text.readline(_LONGEST_LINE):
+            number += 1
+            if len(line) == _LONGEST_LINE:
+                raise InputError(
+                    f"{path}: line {number} has {_LONGEST_LINE} characters or more: this is no table with one "
+                    "sample in a line; export one"
+                )
+            if line.strip():
+                lines.append(line.rstrip("\n"))
+                characters += len(line)
+                check_size(path, characters // 16)
+    return lines
 
 
 def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
@@ -193,9 +237,10 @@ def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
     return _named(path, _heads(rows, start, width), columns, words, notes)
 
 
-def _packed_table(path: Path, content: bytes) -> ColumnTable | None:
+def _packed_table(path: Path) -> ColumnTable | None:
     """Two lines with names and types, then rows of big-endian numbers: what `record.py --binary` of UR writes."""
-    names, _, remainder = content[:_BLOCK].partition(b"\n")
+    with open_regular(path) as file:
+        names, _, remainder = file.read(_BLOCK).partition(b"\n")
     types, newline, _ = remainder.partition(b"\n")
     labels, kinds = (line.decode("ascii", errors="replace").replace(",", " ").split() for line in (names, types))
     if not newline or not kinds or len(kinds) != len(labels) or not all(kind in _PACKED for kind in kinds):
@@ -203,7 +248,9 @@ def _packed_table(path: Path, content: bytes) -> ColumnTable | None:
     parts = [(label, *_PACKED[kind]) for label, kind in zip(labels, kinds, strict=True)]
     dtype = np.dtype([(label, f">{code}", (count,)) for label, code, count in parts])
     start = len(names) + len(types) + 2
-    table = np.frombuffer(content, dtype, (len(content) - start) // dtype.itemsize, start)
+    count = (path.stat().st_size - start) // dtype.itemsize
+    check_size(path, count * sum(count for *_, count in parts))
+    table = np.fromfile(path, dtype, count, offset=start)
     columns = {
         f"{label}_{k}" if count > 1 else label: table[label][:, k].astype(float)
         for label, _, count in parts
@@ -221,6 +268,9 @@ def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
     if '"' in lines[start] or _row(lines[start], separator).is_names:
         return None
     plain = [line for line in lines[start:] if not line.lstrip().startswith(("#", "%"))]
+    width = len(lines[start].split(separator))
+    check_width(path, start + 1, width)
+    check_size(path, width * len(plain))
     try:
         # a generator lets signals in
         numbers = (line if separator == "," else line.replace(",", ".") for line in plain)
@@ -231,21 +281,36 @@ def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
     return _named(path, heads, list(values.T), {}, ())
 
 
-def _rows(lines: list[str]) -> list[Row]:
+def _rows(path: Path, lines: list[str]) -> list[Row]:
     """Fields of lines by the separator that most of them have; a quoted field may go over several lines."""
     quoted = any('"' in line for line in lines)
     bare = _HIDDEN.sub("", "\n".join(lines)).split("\n") if quoted else lines or [""]
     separator = Counter(map(_separator, bare)).most_common(1)[0][0]
     if quoted:
         with contextlib.suppress(csv.Error):  # a field of very many characters
-            return [_without_mark(fields) for fields in _quoted(lines, separator) if fields]
-    return [_row(line, separator) for line in lines]
+            return _counted(path, (_without_mark(fields) for fields in _quoted(lines, separator) if fields))
+    return _counted(path, (_row(line, separator) for line in lines))
+
+
+def _counted(path: Path, rows: Iterable[Row]) -> list[Row]:
+    """The rows, whose cells are counted as they come.
+
+    Raises:
+        InputError: more than a table may hold.
+    """
+    kept, cells = list[Row](), 0
+    for row in rows:
+        check_width(path, len(kept) + 1, len(row.fields))
+        cells += len(row.fields)
+        check_size(path, cells, MOST_CELLS, CELL)
+        kept.append(row)
+    return kept
 
 
 def _row(line: str, separator: str | None) -> Row:
     if '"' in line:
         with contextlib.suppress(csv.Error):
-            return _without_mark(_quoted([line], separator)[0])
+            return _without_mark(next(_quoted([line], separator)))
     if "[" in line or "(" in line:
         return _without_mark(_outside_brackets(line.strip() if separator is None else line, separator))
     return _without_mark(line.split(separator))
@@ -267,8 +332,8 @@ def _outside_brackets(line: str, separator: str | None) -> list[str]:
     return [line[:stop], *reversed(fields)]
 
 
-def _quoted(lines: list[str], separator: str | None) -> list[list[str]]:
-    return list(csv.reader((line + "\n" for line in lines), delimiter=separator or " ", skipinitialspace=True))
+def _quoted(lines: list[str], separator: str | None) -> Iterator[list[str]]:
+    return csv.reader((line + "\n" for line in lines), delimiter=separator or " ", skipinitialspace=True)
 
 
 def _without_mark(fields: list[str]) -> Row:
