@@ -70,8 +70,8 @@ class NominalModel:
     @property
     def scale(self) -> np.ndarray:
         """(n,) torque that makes figures of a joint comparable [N·m]: nominal, or what the model leaves, × 100."""
-        left = np.maximum(100 * self.model.held_out_rmse, 1e-9)  # a joint that its brake holds leaves nothing
-        return np.where(np.isfinite(self.robot.nominal_torque), self.robot.nominal_torque, left)
+        typical = np.maximum(100 * self.model.held_out_rmse, 1e-9)  # a joint that its brake holds leaves nothing
+        return np.where(np.isfinite(self.robot.nominal_torque), self.robot.nominal_torque, typical)
 
     def _reversal(self, axle: int) -> Reversal:
         for term in self.model.terms:
