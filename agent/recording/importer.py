@@ -105,8 +105,8 @@ def _assembled(source: Source, output: Path) -> tuple[Log, np.ndarray | None]:
     keep = _usable(mapping, time, present, inside, notes)
     present = {name: array[keep] for name, array in present.items()}
     stamp = nanoseconds(time[keep])
-    if entries.rate is not None and "velocity" in present:
-        stamp, lost = with_lost_rows(stamp, present["position"], present["velocity"])
+    if entries.rate is not None:
+        stamp, lost = with_lost_rows(stamp, present["position"], present.get("velocity"))
         notes += map(str, lost)
     if np.any(np.diff(stamp) < 0):
         source.check_one_recording()

@@ -178,7 +178,7 @@ def test_intervals_go_to_stderr_if_the_format_has_no_comments(bare: IdentifiedMo
 
 
 def test_other_parameters_of_the_last_link_are_a_load(bare: IdentifiedModel) -> None:
-    """No torque tells them from it; those of another link are none."""
+    """Torque does not distinguish them; those of another link are none."""
     load = carried(*points(4))
     names = dict(zip(PAYLOAD.names({}), LINK_PARAMETERS, strict=True))
 

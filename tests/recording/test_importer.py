@@ -246,24 +246,35 @@ def test_columns_that_are_named_after_other_joints_are_refused(convert, tmp_path
     np.testing.assert_array_equal(log.position, values[:, [2, 1]])
 
 
+@pytest.mark.parametrize("velocity", ["velocity: {columns: [v1, v2]}\n", ""])
 @pytest.mark.parametrize("share", [0.01, 0.06])
-def test_rows_that_were_lost_show_against_the_velocity(convert, tmp_path, share):
+def test_rows_that_were_lost_show_in_how_far_positions_go(convert, tmp_path, share, velocity):
+    mapping = f"rate: 100 Hz\nposition: {{columns: [q1, q2]}}\n{velocity}"
     rng = np.random.default_rng(4)
     t = np.arange(2000) / 100
     q, v = np.column_stack([np.sin(2 * t), 0.1 * t]), np.column_stack([2 * np.cos(2 * t), 0.1 + 0 * t])
     kept = np.append(0, 1 + np.flatnonzero(rng.random(1999) > share))
     path = _save(tmp_path / "data.csv", "q1,q2,v1,v2", q[kept].round(4), v[kept].round(4))
-    log, notes = convert("rate: 100 Hz\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2]}\n", path)
+    log, notes = convert(mapping, path)
     recovered = round(100 * log.t[-1]) + 1 - len(kept)  # but for what was lost while the arm hardly moved
     assert 0.7 * (2000 - len(kept)) <= recovered <= 2000 - len(kept)
     assert any("rows are missing at" in note for note in notes)
     block = np.r_[0:600, 700:2000]
     path = _save(tmp_path / "block.csv", "q1,q2,v1,v2", q[block], v[block])
-    log, notes = convert("rate: 100 Hz\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2]}\n", path)
+    log, notes = convert(mapping, path)
     assert log.segments == ((0, 600), (600, 1900))
     assert any("first after row 600: positions jump" in note for note in notes)
     whole = _save(tmp_path / "whole.csv", "q1,q2,v1,v2", q, v)
-    log, notes = convert("rate: 100 Hz\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2]}\n", whole)
+    log, notes = convert(mapping, whole)
+    assert not any("missing" in note for note in notes)
+
+
+@pytest.mark.parametrize("count", [1e-3, 1e-9])
+def test_coarse_encoders_and_sudden_starts_lose_no_rows(convert, tmp_path, count):
+    steps = np.repeat([0.0, 1.5, 0.0, 4.0, -2.0, 0.0, 1.0], 60) * 1e-3
+    q = np.round(np.cumsum(np.tile(steps, 5)) / count) * count
+    path = _save(tmp_path / "data.csv", "q1,q2", q, 0 * q)
+    _, notes = convert("rate: 500 Hz\nposition: {columns: [q1, q2]}\n", path)
     assert not any("missing" in note for note in notes)
 
 

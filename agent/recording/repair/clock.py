@@ -22,6 +22,9 @@ _FEWEST, _ALIKE, _PAUSE, _WAITING, _REGULAR, _FURTHER = 3, 0.9, 5.0, 0.8, 0.25, 
 _CLEAR, _WHOLE = 0.2, 0.25
 #: Of many lost rows: how far a step goes beyond its velocity, in large steps; rows in which a spike is over.
 _JUMP, _SPIKE = 2.0, 5
+#: Without a velocity: steps on either side that say how far one goes, and the part of long steps that are whole.
+_AROUND, _MOSTLY = 3, 0.8
+_COUNT = 1e-12  # numerical: least step of an encoder
 
 
 def unwrapped(stamp: np.ndarray) -> tuple[np.ndarray, list[Repair]]:
@@ -92,16 +95,22 @@ def evened_bursts(stamp: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, 
     return even, [Repair(f"{kind} at {NANO / slope:.6g} Hz; samples", 0.0, len(stamp))]
 
 
-def with_lost_rows(stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, list[Repair]]:
+def with_lost_rows(
+    stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray | None = None
+) -> tuple[np.ndarray, list[Repair]]:
     """Stamps (S,) [ns] of rows that are counted and not stamped, with the time of those that are missing.
 
     Between two rows joints go by their velocity (S, n) for one period, or for two where a row was lost: the way over
     that by velocity is then 2, for all joints alike. Slow steps do not show it. Where positions jump and stay, an
-    unknown number of rows was lost: what follows comes a second later, as a segment of its own.
+    unknown number of rows was lost: what follows comes a second later, as a segment of its own. Without a velocity, the
+    steps around a row say how far one goes, if long steps are whole ones.
     """
-    step = np.diff(stamp)
-    by_velocity = 0.5 * (velocity[1:] + velocity[:-1]) * step[:, None] / NANO
-    way, square = np.diff(position, axis=0), np.sum(by_velocity**2, axis=1)
+    step, way = np.diff(stamp), np.diff(position, axis=0)
+    if velocity is None:
+        by_velocity, whose = _usual_steps(way), "their neighbours say, which slow steps do not show"
+    else:
+        by_velocity, whose = 0.5 * (velocity[1:] + velocity[:-1]) * step[:, None] / NANO, "the velocity says"
+    square = np.sum(by_velocity**2, axis=1)
     large = np.quantile(square, 0.95)
     clear = square > _CLEAR**2 * large
     times = np.sum(way * by_velocity, axis=1) / np.where(square > 0, square, 1.0)
@@ -110,7 +119,8 @@ def with_lost_rows(stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray
     # a velocity that is not the derivative of its position says nothing
     agrees = clear.any() and np.median(np.abs(times[clear] - 1)) < _WHOLE / 2
     lost = clear & (periods >= 2) & (np.abs(times - periods) < _WHOLE) & (error < _WHOLE**2 * np.sum(way**2, axis=1))
-    if not agrees:
+    further = clear & (times > 1 + _WHOLE)
+    if not agrees or (velocity is None and np.count_nonzero(lost) < _MOSTLY * np.count_nonzero(further)):
         return stamp, []
     beyond = np.pad(np.cumsum(way - by_velocity, axis=0), ((_SPIKE + 1, _SPIKE), (0, 0)), mode="edge")
     jump, lasting = way - by_velocity, beyond[2 * _SPIKE + 1 :] - beyond[: -2 * _SPIKE - 1]
@@ -118,7 +128,7 @@ def with_lost_rows(stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray
     missing = np.where(lost, periods - 1, 0).astype(np.int64)
     repairs = []
     for places, what in (
-        (lost, "move on by more than the velocity says; their time is added"),
+        (lost, f"move on by more than {whose}; their time is added"),
         (cut, "jump; cut there"),
     ):
         if places.any():
@@ -127,3 +137,15 @@ def with_lost_rows(stamp: np.ndarray, position: np.ndarray, velocity: np.ndarray
             kind = f"rows are missing at {where}: positions {what}{'; rows' if places is lost else ''}"
             repairs.append(Repair(kind, float(stamp[first] - stamp[0]) / NANO, count))
     return stamp + np.append(0, np.cumsum(missing * step + cut * int(_CUT * NANO))), repairs
+
+
+def _usual_steps(way: np.ndarray) -> np.ndarray:
+    """(S, n) how far the steps around each of `way` (S, n) go, on which single lost rows have no influence; zero where
+    those before and after differ, as where a motion starts, or are few counts of an encoder."""
+    padded = np.pad(way, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+    sides = [range(_AROUND), range(_AROUND + 1, 2 * _AROUND + 1)]
+    before, after = (np.median([padded[k : k + len(way)] for k in side], axis=0) for side in sides)
+    usual, distance = 0.5 * (before + after), np.abs(way)
+    alike = np.sum((after - before) ** 2, axis=1) < (2 * _WHOLE) ** 2 * np.sum(usual**2, axis=1)
+    count = np.min(distance, axis=0, where=distance > _COUNT, initial=np.inf)  # of the encoder, or of the file
+    return np.asarray(usual * (alike & np.any(np.abs(usual) > count / _WHOLE, axis=1))[:, None])
