@@ -51,7 +51,10 @@ class FitSamples:
 
 
 def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
-    """Samples of all logs that are long enough to be filtered; None where that leaves too few."""
+    """Samples of all logs that are long enough to be filtered; None where that leaves too few.
+
+    Pauses of an arm that mostly moves are left out: its friction is anything within stiction there.
+    """
     parts, folds, braked, independent = [], [], [], 0.0
     for log in logs:
         cutoff = min(_CUTOFF, resolve_cutoff(log, FilterSettings()))
@@ -69,12 +72,17 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
             folds.append(_held_together(motion.time[motion.kept], motion.cycle_starts))
             independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
     rows = np.concatenate(parts) if parts else np.empty((0, 5))
-    every = max(1, -(-len(rows) // _SAMPLES))
-    rows, fold = rows[::every], np.concatenate([*folds, np.empty(0, dtype=int)])[::every]
+    moving = np.any(np.abs(np.split(rows, 5, axis=1)[4]) > np.tanh(1.0), axis=1)
+    if 2 * moving.sum() < len(rows):  # of postures the rests tell more than what is between them
+        moving[:] = True
+    every = max(1, -(-moving.sum() // _SAMPLES))
+    used = np.flatnonzero(moving)[::every]
+    rows, fold = rows[used], np.concatenate([*folds, np.empty(0, dtype=int)])[used]
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
     q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
-    return FitSamples(q, qd, qdd, torque, direction, fold, independent, np.concatenate(braked)[::every])
+    independent *= float(moving.mean())
+    return FitSamples(q, qd, qdd, torque, direction, fold, independent, np.concatenate(braked)[used])
 
 
 def _held_together(time: np.ndarray, cycle_starts: Sequence[float]) -> np.ndarray:

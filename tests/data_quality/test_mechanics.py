@@ -10,13 +10,14 @@ import pytest
 
 from agent.core import Console, InputError, RejectedError
 from agent.data_quality import QualityFinding, check_quality
+from agent.data_quality.rigid_fit import fit_samples
 from agent.estimation import estimate
 from agent.pipeline.identify import FitQuestion, check_plausible, estimate_files, validate_files
-from agent.recording import read_log, write_log
+from agent.recording import Log, read_log, write_log
 from agent.robot import load_robot
 from fake_controller.plant import Plant
 from tests.arms import Bar, serial_arm
-from tests.small_arms import make_arm, record
+from tests.small_arms import PERIOD, make_arm, record, set_points
 
 JOINT = 1
 
@@ -417,3 +418,17 @@ def test_a_model_refuses_logs_of_another_robot_whose_joints_have_the_same_names(
     check_plausible(
         ur5e, [replace(record(loaded, "loaded", 21), metadata={"robot": "ur5e"})], False, quiet, model=model
     )
+
+
+@pytest.mark.parametrize(("rest", "left_out"), [(1.0, True), (12.0, False)])
+def test_pauses_of_an_arm_that_mostly_moves_are_left_out(rest: float, left_out: bool):
+    """Stiction holds it with any torque there, which once passed for gravity. Of postures the rests tell most."""
+    moves, _ = set_points(2, 0)
+    standstill = np.repeat(moves[:1], round(rest / PERIOD), axis=0)
+    q = np.concatenate([moves, standstill, moves, standstill])
+    t = PERIOD * np.arange(len(q))
+    whole = ((0, len(t)),)
+    log = Log(Path("pauses"), ("a", "b"), t, q, None, 0 * q, None, None, 1 / PERIOD, 0.0, whole)
+    samples = fit_samples([log])
+    assert samples.independent == pytest.approx(20.0 * (20.0 if left_out else t[-1]), rel=0.1)
+    assert np.any(np.all(np.abs(samples.direction) < 0.5, axis=1)) != left_out

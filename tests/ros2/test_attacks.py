@@ -437,7 +437,7 @@ BEFORE = {
     "efforts are no numbers": (partial(changed, effort=lambda e: np.full_like(e, np.nan)), (3, 4, 5), "effort"),
     "efforts without gravity": (lambda s: setattr(s.cell, "effort", "compensated"), (3, 4, 5), "gravity|effort"),
     "positions are no numbers": (partial(changed, position=lambda q: np.full_like(q, np.nan)), 4, "no sample|numbers"),
-    "samples in bursts of 0.6 s": (partial(held_back, seconds=0.6), 4, "late"),
+    "samples in bursts of 0.6 s": (lambda s: held_back(s, patience(0.6)), 4, "late"),
     "a description of another robot": (lambda s: describe(s, "<robot name='other'/>"), (3, 4), "other"),
     "the arm moves already": (lambda s: s.command_arm(2.0, (0.6, 0.6)), 4, "can command|moves already"),
     "the controller is gone": (lambda s: s.server.close(), 4, "no node .* answers|silent|no sample"),
@@ -504,7 +504,7 @@ DURING = {
     "each message twice": (lambda s: again(s, lambda data: data), 0, "", 99),
     "each message, and an old one": (lambda s: again(s, whole(int(time.time()) - 30, 0)), (4, 5), "", STOPPED),
     "samples in bursts of 0.3 s": (partial(held_back, seconds=0.3), (0, 4), "", 99),
-    "samples in bursts of 1 s": (partial(held_back, seconds=1.0), 4, "late|silent", STOPPED + 0.5),
+    "samples in bursts of 1 s": (lambda s: held_back(s, patience(1.0)), 4, "late|silent", STOPPED + 0.5),
     "a message of 250 joints, 200 times a second": (
         lambda s: s.publish(joint_state([f"j{k}" for k in range(250)], np.zeros(250)), 200.0), (0, 4), "", 99,
     ),

@@ -203,6 +203,8 @@ class RosLink(LinkThread):
         self.check()
         with self._changed:
             seen = np.array(self._seen)
+        if self.doubt:
+            raise DriverError(self.doubt)
         if not there:
             topic = self.target.name(JOINT_STATES)
             if not self.believed.at > began:
@@ -211,8 +213,6 @@ class RosLink(LinkThread):
                 f"the stamps of {topic} stand still or jump, the last is {seen[-1, 0]:.3f} s, so nobody knows how old "
                 "its samples are: the node that publishes it has to set header.stamp by one running clock"
             )
-        if self.doubt:
-            raise DriverError(self.doubt)
         half = seen[:, 0] < np.mean(seen[[0, -1], 0])
         drift = (seen[~half, 1].min() - seen[half, 1].min()) / (np.ptp(seen[:, 0]) / 2)
         if self.simulated and abs(drift) > _DRIFT:
