@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.data_quality.faults import MOVING, QualityFinding, Recordings
+from agent.estimation import smooth_and_differentiate
 from agent.recording import Log
 
 _SLOW = 5.0  # Hz, below which a filter of a recorder is a pure delay
+_NOTHING = 1.5 * _SLOW  # numerical: Hz, from which on nothing passes
 _LATE = 4e-3  # s: recorders without a filter show up to 3.1 ms, those with one 4.5 ms or more (two worlds, 27 logs)
 
 
@@ -37,7 +39,8 @@ def alignment(log: Log) -> Alignment:
 
 def late_velocity(of: Recordings) -> Iterator[QualityFinding]:
     """Velocities that a filter of the recorder delays."""
-    lags = {log.name: lag for log in of.logs if (lag := alignment(log).velocity) is not None and abs(lag) > _LATE}
+    delays = ((log.name, _lag(log, log.velocity, True)) for log in of.logs)
+    lags = {name: lag for name, lag in delays if lag is not None and abs(lag) > _LATE}
     if lags:
         longest = max(lags.values(), key=abs)
         way = "lags" if longest > 0 else "leads"
@@ -52,27 +55,25 @@ def _lag(log: Log, other: np.ndarray | None, is_velocity: bool) -> float | None:
     """Seconds by which the velocity lags the position, or the position lags its set-points."""
     if other is None or log.sample_rate <= 2.5 * _SLOW:
         return None
-    from scipy.signal import butter, sosfiltfilt  # half of the time and a third of the memory that a diagnosis imports
-
-    low_pass = butter(2, _SLOW, fs=log.sample_rate, output="sos")
     lags = []
     for joint in np.flatnonzero(np.ptp(log.position, axis=0) > MOVING):
-        early, late = [], []
+        early, late, slope = [], [], []
         for a, b in log.segments:
             if b - a < 2 * log.sample_rate / _SLOW:
                 continue
-            position, second = (sosfiltfilt(low_pass, x[a:b, joint]) for x in (log.position, other))
-            speed = np.gradient(position) * log.sample_rate
-            pair = (speed, second) if is_velocity else (np.gradient(second) * log.sample_rate, speed)
-            early.append(pair[0])
-            late.append(pair[1])
+            (_, speed, acceleration), (second, second_rate, _) = (
+                smooth_and_differentiate(x[a:b, [joint]], log.sample_rate, _SLOW, _NOTHING)
+                for x in (log.position, other)
+            )
+            parts = (speed, second, second_rate) if is_velocity else (second_rate, speed, acceleration)
+            for rows, part in zip((early, late, slope), parts, strict=True):
+                rows.append(part[:, 0])
         if early:
-            lags.append(_delay(np.concatenate(early), np.concatenate(late), log.sample_rate))
+            lags.append(_delay(*map(np.concatenate, (early, late, slope))))
     return float(np.median(lags)) if lags else None
 
 
-def _delay(early: np.ndarray, late: np.ndarray, rate: float) -> float:
-    """Seconds by which one signal (S,) lags another: x = a y + b ẏ has the delay b / a."""
-    columns = np.column_stack([late, np.gradient(late) * rate])
-    scale, slope = np.linalg.lstsq(columns, early, rcond=None)[0]
-    return float(slope / scale) if scale else 0.0
+def _delay(early: np.ndarray, late: np.ndarray, slope: np.ndarray) -> float:
+    """Seconds by which one signal (S,) lags another: x = a y + b ẏ has the delay b / a; `slope` is ẏ."""
+    scale, by_slope = np.linalg.lstsq(np.column_stack([late, slope]), early, rcond=None)[0]
+    return float(by_slope / scale) if scale else 0.0
