@@ -27,7 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -154,8 +154,7 @@ class Motion:
         """
 
         def response(frequency: np.ndarray) -> list[np.ndarray]:
-            warped = np.tan(np.pi * np.minimum(frequency / self.rate, 0.5)) / np.tan(np.pi * self.cutoff / self.rate)
-            return [1 / (1 + np.minimum(warped, _FAR) ** (2 * self.order))]
+            return [_butterworth(self.rate, self.cutoff, self.order, float(frequency[1]), len(frequency))]
 
         first, stop = self.edge // every, -(-(len(self.time) - self.edge - self.edge % every) // every)
         return _respond(signals, self.rate / every, response, slice(first, stop, self.step // every))[0]
@@ -175,6 +174,16 @@ class Motion:
     def thinned(self, every: int) -> slice:
         """Every k-th sample, those of `kept` among them; `every` divides `step`."""
         return slice(self.edge % every, None, every)
+
+
+@lru_cache(maxsize=16)
+def _butterworth(rate: float, cutoff: float, order: int, spacing: float, count: int) -> np.ndarray:
+    """(K,) response of the filter run forward and backward, at `count` frequencies a `spacing` [Hz] apart from 0 on.
+
+    Kept, as columns of one motion are filtered some at a time.
+    """
+    warped = np.tan(np.pi * np.minimum(spacing * np.arange(count) / rate, 0.5)) / np.tan(np.pi * cutoff / rate)
+    return np.asarray(1 / (1 + np.minimum(warped, _FAR) ** (2 * order)))
 
 
 def motions(log: Log, settings: FilterSettings, reduce: bool = True) -> Iterator[Motion]:

@@ -78,18 +78,17 @@ class _Shown:
     rms: list[np.ndarray]
 
     @classmethod
-    def of(cls, fit: Fit, forms: Sequence[Candidate]) -> _Shown:
-        evidence = Evidence(fit, forms, healthy=())
+    def of(cls, evidence: Evidence) -> _Shown:
+        pool = evidence.pool
         gains, values = evidence.shortlist_gains(evidence.nothing)
-        torque = [max(evidence.pool.torque(k, parameters).values(), default=0.0) for k, parameters in enumerate(values)]
-        return cls(gains, values, np.array(torque), [evidence.pool.rms(k) for k in range(len(forms))])
+        torque = [max(pool.torque(k, parameters).values(), default=0.0) for k, parameters in enumerate(values)]
+        return cls(gains, values, np.array(torque), [pool.rms(k) for k in range(pool.size)])
 
 
 def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
     """Logs that the model has not seen, all together."""
     fit = assemble(model.robot, model, logs, model.cutoff).fit
-    forms = Search(fit, _TRANSIENT).forms()
-    return forms, [_Shown.of(fit, forms)]
+    return _shown(fit, [(fit, slice(None))])
 
 
 def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
@@ -106,11 +105,19 @@ def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Can
         precision.append(np.linalg.inv(fit.solve(folds[0].train)[0]))
     unseen = fit.with_residual(residual / fit.sigma)  # as of a model of other logs
     fit = unseen.with_chosen(precision=np.mean(precision, axis=0), shift=np.zeros(len(precision[0])))
-    forms = Search(fit, _TRANSIENT).forms()
-    alone = (fit.of_log(number, precision[number]) for number in range(len(logs)))
-    return forms, [
-        _Shown.of(of_log, [form.of_rows(fit.rows_of(k)) for form in forms]) for k, of_log in enumerate(alone)
-    ]
+    return _shown(fit, [(fit.of_log(number, precision[number]), fit.rows_of(number)) for number in range(len(logs))])
+
+
+def _shown(fit: Fit, parts: Sequence[tuple[Fit, slice]]) -> tuple[Sequence[Candidate], list[_Shown]]:
+    """All forms, and what each part of the rows shows of them: a part has a fit of its own, and some of the rows."""
+    forms, evidence = list[Candidate](), [Evidence(of_part, (), healthy=()) for of_part, _ in parts]
+    for batch in Search(fit, _TRANSIENT).forms():
+        for of_part, (_, rows) in zip(evidence, parts, strict=True):
+            of_part.pool.add([form.of_rows(rows) for form in batch])
+        for form in batch:
+            form.release()
+        forms += batch
+    return forms, [_Shown.of(of_part) for of_part in evidence]
 
 
 def _effects(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -119,9 +119,10 @@ class Search:
     def _key(forms: Iterable[Candidate], free: Iterable[int]) -> Key:
         return frozenset(form.place for form in forms), frozenset(free)
 
-    def forms(self) -> list[Candidate]:
-        """Return every effect on all its possible joints, with the grid of its nonlinear parameters."""
-        return self._stable(self._grid())
+    def forms(self) -> Iterator[list[Candidate]]:
+        """Yield every effect on all its possible joints, with the grid of its nonlinear parameters, some at a time."""
+        wanted = self._grid()
+        return (self._stable(wanted[first : first + TOGETHER]) for first in range(0, len(wanted), TOGETHER))
 
     def _grid(self) -> list[Wanted]:
         wanted: list[Wanted] = [

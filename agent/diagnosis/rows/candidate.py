@@ -86,7 +86,11 @@ class Candidate:
 
     def of_rows(self, rows: slice) -> Candidate:
         """The same on some of the rows."""
-        return replace(self, blocks={joint: block[rows] for joint, block in self.blocks.items()})
+
+        def part() -> dict[int, np.ndarray]:
+            return {joint: block[rows] for joint, block in self.blocks.items()}
+
+        return replace(self, blocks=Blocks(part(), part))
 
     def text(self, joint_names: Sequence[str]) -> str:
         """Name of the candidate in steps and ranges."""
