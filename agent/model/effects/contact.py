@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from heapq import heapify, heappop, heappush
 from types import MappingProxyType
 
 import numpy as np
@@ -327,22 +328,29 @@ def _force(link: int, signals: MotionSignals, rows: np.ndarray, sigma: np.ndarra
 def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     """The strongest windows that stand out and do not overlap; strongest first."""
     taken: list[PushedWindow] = []
-    best = [w.strongest for w in windows]
+    # a length's window is looked for once nothing else can be stronger than the most that any of it gains
+    heap = [(-float(w.gain.max(initial=0.0)), number) for number, w in enumerate(windows)]
+    heapify(heap)
+    best: dict[int, tuple[PushedWindow, int]] = {}  # and how many were taken then
     spans = [(w.log, float(np.ptp(w.starts)) + w.duration) for w in windows if len(w.starts)]
     lasting = sum(max(span for log, span in spans if log == index) for index in {log for log, _ in spans})
-    while True:
-        candidates = [(push, w) for push, w in zip(best, windows, strict=True) if push is not None]
-        if not candidates:
-            break
-        push, of_length = max(candidates, key=lambda pair: pair[0].gain)
+    while heap:
+        number = heappop(heap)[1]
+        of_length = windows[number]
+        if number not in best or any(other.meets(best[number][0]) for other in taken[best[number][1] :]):
+            push_left = of_length.best(taken) if taken else of_length.strongest
+            if push_left is not None:
+                best[number] = push_left, len(taken)
+                heappush(heap, (-push_left.gain, number))
+            continue
+        push = best[number][0]
         if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
             break
         last = of_length.fitted(push, taken)
         if len(taken) >= _FEW and sum(p.duration for p in (*taken, last)) > _RARE * lasting:
             break  # many windows can follow any torque
         taken.append(last)
-        # a strongest window that shares no time with the new push stays the strongest
-        best = [w.best(taken) if p and last.meets(p) else p for p, w in zip(best, windows, strict=True)]
+        heappush(heap, (-push.gain, number))
     free = [(w, ~w.shared(taken)) for w in windows]
     compared = [(push, *_beside(push, taken, free)) for push in taken]
     bare = [push for push in taken if any(w.bare(push) for w in windows)]
