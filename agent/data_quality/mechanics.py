@@ -66,7 +66,7 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
         finding = likeliest or _opposite(plain, driven_on, whose)
         push = f"friction and inertia would drive {whose} on, by {100 * pushing.max():.0f} % of its torque"
         yield replace(finding, text=f"{finding.text}: {push}")
-    elif likeliest and not _refuted(of):
+    elif likeliest and not _of_pauses(plain) and not _refuted(of):
         yield replace(likeliest, text=f"{likeliest.text}: much more of the torque would be explained")
     else:
         still = 0 * samples.q
@@ -98,6 +98,14 @@ def _opposite(plain: RigidFit, driven_on: np.ndarray, whose: str) -> QualityFind
     text = f"the sign of the torque of {whose} fits better than the opposite one, with friction that falls with speed"
     advice = "the effort has to be total motor torque, without compensation of friction"
     return QualityFinding(text, tuple(names[k] for k in driven_on), advice=advice, refuses=False)
+
+
+def _of_pauses(plain: RigidFit) -> bool:
+    """Whether no mistake is left without the pauses of the arm, whose stiction it would explain."""
+    samples = plain.samples
+    if samples.moving.all() or not (moving := RigidFit(plain.dynamics, samples.in_motion())).says_something():
+        return False
+    return _likeliest(moving, *_pushing(moving, moving.samples.torque)) is None
 
 
 def _refuted(of: Recordings) -> bool:

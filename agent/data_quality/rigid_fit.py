@@ -49,12 +49,21 @@ class FitSamples:
         """Samples for each independent one."""
         return max(1.0, len(self.q) / max(self.independent, 1.0))
 
+    @property
+    def moving(self) -> np.ndarray:
+        """(S,) where any joint moves: in a pause friction is anything within stiction."""
+        return np.any(np.abs(self.direction) > np.tanh(1.0), axis=1)
+
+    def in_motion(self) -> FitSamples:
+        """Those without the pauses."""
+        kept = self.moving
+        parts = (self.q, self.qd, self.qdd, self.torque, self.direction, self.fold)
+        braked = None if self.braked is None else self.braked[kept]
+        return FitSamples(*(part[kept] for part in parts), self.independent * float(kept.mean()), braked)
+
 
 def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
-    """Samples of all logs that are long enough to be filtered; None where that leaves too few.
-
-    Pauses of an arm that mostly moves are left out: its friction is anything within stiction there.
-    """
+    """Samples of all logs that are long enough to be filtered; None where that leaves too few."""
     parts, folds, braked, independent = [], [], [], 0.0
     for log in logs:
         cutoff = min(_CUTOFF, resolve_cutoff(log, FilterSettings()))
@@ -72,17 +81,12 @@ def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
             folds.append(_held_together(motion.time[motion.kept], motion.cycle_starts))
             independent += 2 * cutoff * float(np.ptp(motion.time[motion.kept]))
     rows = np.concatenate(parts) if parts else np.empty((0, 5))
-    moving = np.any(np.abs(np.split(rows, 5, axis=1)[4]) > np.tanh(1.0), axis=1)
-    if 2 * moving.sum() < len(rows):  # of postures the rests tell more than what is between them
-        moving[:] = True
-    every = max(1, -(-moving.sum() // _SAMPLES))
-    used = np.flatnonzero(moving)[::every]
-    rows, fold = rows[used], np.concatenate([*folds, np.empty(0, dtype=int)])[used]
+    every = max(1, -(-len(rows) // _SAMPLES))
+    rows, fold = rows[::every], np.concatenate([*folds, np.empty(0, dtype=int)])[::every]
     if len(rows) * rows.shape[1] // 5 < 100:
         return None
     q, qd, qdd, torque, direction = np.split(rows, 5, axis=1)
-    independent *= float(moving.mean())
-    return FitSamples(q, qd, qdd, torque, direction, fold, independent, np.concatenate(braked)[used])
+    return FitSamples(q, qd, qdd, torque, direction, fold, independent, np.concatenate(braked)[::every])
 
 
 def _held_together(time: np.ndarray, cycle_starts: Sequence[float]) -> np.ndarray:
