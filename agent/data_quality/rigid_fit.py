@@ -52,14 +52,16 @@ class FitSamples:
     @property
     def moving(self) -> np.ndarray:
         """(S,) where any joint moves: in a pause friction is anything within stiction."""
-        return np.any(np.abs(self.direction) > np.tanh(1.0), axis=1)
+        moving: np.ndarray = np.any(np.abs(self.direction) > np.tanh(1.0), axis=1)
+        return moving
 
     def in_motion(self) -> FitSamples:
         """Those without the pauses."""
         kept = self.moving
-        parts = (self.q, self.qd, self.qdd, self.torque, self.direction, self.fold)
+        names = ("q", "qd", "qdd", "torque", "direction", "fold")
+        parts = {name: getattr(self, name)[kept] for name in names}
         braked = None if self.braked is None else self.braked[kept]
-        return FitSamples(*(part[kept] for part in parts), self.independent * float(kept.mean()), braked)
+        return replace(self, **parts, independent=self.independent * float(kept.mean()), braked=braked)
 
 
 def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
