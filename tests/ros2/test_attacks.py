@@ -437,7 +437,7 @@ BEFORE = {
     "efforts are no numbers": (partial(changed, effort=lambda e: np.full_like(e, np.nan)), (3, 4, 5), "effort"),
     "efforts without gravity": (lambda s: setattr(s.cell, "effort", "compensated"), (3, 4, 5), "gravity|effort"),
     "positions are no numbers": (partial(changed, position=lambda q: np.full_like(q, np.nan)), 4, "no sample|numbers"),
-    "samples in bursts of 0.6 s": (lambda s: held_back(s, patience(0.6)), 4, "late"),
+    "samples in bursts of 0.6 s": (lambda s: held_back(s, patience(0.6)), 4, "late|samples every"),
     "a description of another robot": (lambda s: describe(s, "<robot name='other'/>"), (3, 4), "other"),
     "the arm moves already": (lambda s: s.command_arm(2.0, (0.6, 0.6)), 4, "can command|moves already"),
     "the controller is gone": (lambda s: s.server.close(), 4, "no node .* answers|silent|no sample"),

@@ -99,9 +99,9 @@ class Swing:
 
 
 def publish_late(bench):
-    """From a moment of motion on, each sample comes later than the one before: half a second more in each second."""
+    """From a moment of motion on, each sample comes later than the one before: the watchdog more in each second."""
     cell, states, waiting, publish = bench.cell, bench.server._states, deque(), bench.server._states.publish
-    over = threading.Event()
+    over, growth = threading.Event(), patience(0.5)
     begun = []
 
     def keep(message):
@@ -115,7 +115,7 @@ def publish_late(bench):
 
     def hand_out():
         while not over.wait(0.002):
-            while waiting and cell._clock() - waiting[0][0] > (waiting[0][0] - begun[0]) / 2:
+            while waiting and cell._clock() - waiting[0][0] > growth * (waiting[0][0] - begun[0]):
                 publish(waiting.popleft()[1])
 
     bench.server._states = type("Late", (), {"publish": staticmethod(keep), "topic": states.topic})()
