@@ -248,7 +248,7 @@ class IdentifiedModel(RigidFrictionModel):
             raise InputError(f"{error}; {advice}") from None
         schema = data.get("schema") if isinstance(data, dict) else None
         if schema != SCHEMA:
-            raise InputError(f"{path}: not a model file of schema {SCHEMA!r} (it says {schema!r})")
+            raise InputError(f"{path}: not a model file of schema {SCHEMA!r} (it says {str(schema)[:40]!r})")
         if fault := first_fault(data, ModelDocument):
             raise InputError(f"{path}: this model file is incomplete or damaged: {fault}")
         try:

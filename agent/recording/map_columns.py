@@ -69,6 +69,7 @@ class Source:
     def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Time (S,) [s] of the rows, and the columns (S, k) of each quantity that the mapping names, of `rows` too."""
         by_key = {key: self._found(key, columns) for key in ARRAYS if (columns := getattr(self.mapping.entries, key))}
+        self._check_apart(by_key)
         if (wanted := self.mapping.entries.rows) is not None:
             by_key["rows"] = self._columns("rows", "rows.column", wanted.file, [wanted.column])
         columns = [(key, table, column) for key, pairs in by_key.items() for table, column in pairs]
@@ -81,6 +82,17 @@ class Source:
         time = time[: len(arrays[0])]
         stacked = {key: [a for (k, *_), a in zip(columns, arrays, strict=True) if k == key] for key in by_key}
         return time, {key: np.column_stack(parts) for key, parts in stacked.items()}
+
+    def _check_apart(self, by_key: dict[str, list[tuple[ColumnTable, np.ndarray]]]) -> None:
+        """Refuse a column that stands for two joints, or for position and torque of one."""
+        taken: dict[int, str] = {}
+        for key in ("position", "velocity", "effort"):
+            for table, column in by_key.get(key, ()):
+                name = next(name for name, other in table.columns.items() if other is column)
+                if id(column) in taken:
+                    what = f"column {name} of {table.path.name} stands in {taken[id(column)]} already"
+                    self.mapping.fault(f"{key}.columns", f"{what}; each has a column of its own")
+                taken[id(column)] = key
 
     def _by_time(self, columns: Sequence[tuple[str, ColumnTable, np.ndarray]]) -> list[np.ndarray]:
         """Time (S,) and each column (S,): row by row where all have one clock, else joined by time."""

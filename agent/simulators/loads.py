@@ -119,10 +119,8 @@ def _load_of(entry: ModelEffect, link: int) -> ModelEffect | None:
         return entry if numbers == "load" else None
     own = tuple(f"{name}{link + 1}" for name in LINK_PARAMETERS)
     names = dict(zip(own, ("mass", *_MOMENT, *_INERTIA), strict=True))
-    parameters, intervals = (
-        {names[name]: value for name, value in each.items() if name in names}
-        for each in (entry.parameters, entry.intervals)
-    )
+    parameters = {names[name]: value for name, value in entry.parameters.items() if name in names}
+    intervals = {names[name]: value for name, value in entry.intervals.items() if name in names}
     return ModelEffect("payload", (), parameters, intervals)
 
 

@@ -237,6 +237,20 @@ def test_each_joint_may_have_a_file_of_its_own(convert, tmp_path, table):
         convert("rate: 200 Hz\nposition: {file: [1.csv], columns: [q, q]}\n", *paths)
 
 
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        ("position: {columns: [q1, q1]}\n", "position.columns: column q1 of data.csv stands in position already"),
+        ("position: {columns: [q1, q2]}\neffort: {columns: [q2, e2]}\n", "effort.columns: column q2 .*in position"),
+    ],
+)
+def test_a_column_stands_for_one_joint_and_quantity(convert, tmp_path, table, columns, says):
+    _, values = table
+    path = _save(tmp_path / "data.csv", "q1,q2,e2", values[:, [1, 2, 5]])
+    with pytest.raises(InputError, match=says):
+        convert(f"rate: 200 Hz\n{columns}", path)
+
+
 def test_columns_that_are_named_after_other_joints_are_refused(convert, tmp_path, table):
     _, values = table
     path = _save(tmp_path / "data.csv", "t,slide.q,turn.q", values[:, 0], values[:, 1:3])
