@@ -183,6 +183,14 @@ class FreeSimulator:
         loaded.model = model
         return loaded
 
+    def holding(self) -> FreeSimulator:
+        """The same arm whose friction holds a stationary joint as real friction does, where MuJoCo's gives way."""
+        firm, model = copy(self), copy(self.model)
+        model.dof_solimp[self._dof, 0] = self._mujoco.mjMAXIMP
+        firm.model, firm.arm = model, replace(self.arm, impedance=np.array(model.dof_solimp[self._dof, 0]))
+        firm.__dict__.pop("creep", None)
+        return firm
+
     @cached_property
     def creep(self) -> np.ndarray:
         """(n,) [1/s] damping over inertia of a joint that friction holds: MuJoCo's friction is a soft constraint.

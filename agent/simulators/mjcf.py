@@ -106,6 +106,7 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
         armature=np.array(model.dof_armature[dof]),
         damping=np.array(model.dof_damping[dof]),
         frictionloss=np.array(model.dof_frictionloss[dof]),
+        impedance=np.array(model.dof_solimp[dof, 0]),
         stiffness=np.array(model.jnt_stiffness[chosen]),
         rest=np.array(model.qpos_spring[model.jnt_qposadr[chosen]]),
         carrying=carrying,

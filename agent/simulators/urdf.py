@@ -75,6 +75,7 @@ def read_urdf(
         armature=np.zeros(len(chain)),
         damping=damping,
         frictionloss=friction,
+        impedance=np.ones(len(chain)),
         stiffness=np.zeros(len(chain)),
         rest=np.zeros(len(chain)),
         carrying=tuple(_carrying(root, joint, set(used.values())) for joint in joints),

@@ -29,16 +29,28 @@ ARM = """<mujoco model="hobby"><option timestep="0.002" integrator="implicitfast
 
 
 def recorded(
-    source: Path, phase: float, late: float = 0.0, friction: float = 1.0, gain: float = 1.0, joints: slice = slice(1, 2)
+    source: Path,
+    phase: float,
+    late: float = 0.0,
+    friction: float = 1.0,
+    gain: float = 1.0,
+    joints: slice = slice(1, 2),
+    rest: float = 0.0,
+    impedance: float = 0.9,
 ) -> Log:
-    """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos."""
+    """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos.
+
+    The command moves on after every `rest` [s]; `impedance` is that of friction.
+    """
     model = mujoco.MjModel.from_xml_path(str(source))
+    model.dof_solimp[:, 0] = impedance
     model.dof_frictionloss[1] *= friction
     model.actuator_gainprm[joints, 0] *= gain
     model.actuator_biasprm[joints, 1] *= gain
     data, t = mujoco.MjData(model), np.arange(int(SECONDS * RATE)) / RATE
     parts = ((0.5, 1.1), (0.25, 2.7), (0.08, 6.1))
-    r = sum(a * np.sin(np.outer(t, w * np.array([1, 1.2])) + phase * w + [0, 1]) for a, w in parts)
+    asked = np.floor(t / rest) * rest if rest else t
+    r = sum(a * np.sin(np.outer(asked, w * np.array([1, 1.2])) + phase * w + [0, 1]) for a, w in parts)
     each, q = round(1 / RATE / STEP), np.empty(r.shape)
     for k in range(-int(RATE), len(t)):
         if k >= 0:
@@ -157,10 +169,12 @@ def test_a_row_is_the_mean_of_a_tenth_of_a_second_and_hides_less_by_rounding(sou
     assert np.all(mean < 0.7 * each)
 
 
-def test_the_linear_response_is_the_change_of_the_simulated_motion(source):
+@pytest.mark.parametrize("holds", [False, True])
+def test_the_linear_response_is_the_change_of_the_simulated_motion(source, holds):
     log = recorded(source, 1)
     simulator = load_simulator(source, None, log.joint_names, None)
     free, (stretch,) = FreeSimulator(simulator.arm), stretches_of([log], held=True)
+    free = free.holding() if holds else free
     motion = stretch.run(free, free.numbers)
     line = stretch.linearised(free, free.numbers, motion, NominalModel(simulator.model))
     columns = line.number_columns(free, free.numbers)
@@ -182,6 +196,17 @@ def test_a_smooth_command_is_smooth_between_its_frames_and_keeps_to_a_step():
     assert np.abs(sine - np.sin(wave * middle)).max() < 0.5 * (wave / 30) ** 2 / 8  # half of what straight lines miss
     assert step.min() >= 0
     assert step.max() <= 1
+
+
+@pytest.mark.parametrize("holds", [False, True])
+def test_friction_holds_a_stationary_joint_where_the_arm_does(source, tmp_path, holds):
+    logs = [recorded(source, k, rest=2.0, impedance=0.9999 if holds else 0.9) for k in (1, 2)]
+    simulator, found = found_in(source, logs)
+    assert found.verdict == "no_gap"
+    assert any("lets a stationary joint creep" in warning for warning in found.warnings) is holds
+    out = tmp_path / "fixed.xml"
+    write_corrected(simulator, corrected(found, simulator), out)
+    assert (mujoco.MjModel.from_xml_path(str(out)).dof_solimp[:, 0] > 0.999).all() == holds
 
 
 @pytest.mark.parametrize(

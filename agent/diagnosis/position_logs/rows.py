@@ -86,7 +86,8 @@ def assemble_positions(
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
     file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
-    servos = ServoParameters(covariance, given.kp, USUAL_DELAY, file, step=found.simulator.step)
+    simulator = found.simulator
+    servos = ServoParameters(covariance, given.kp, USUAL_DELAY, file, simulator.arm.impedance, step=simulator.step)
     return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
 
 

@@ -181,6 +181,8 @@ def _line(
     )
     numbers = ServoNumbers(*(np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay)))
     free, begins = FreeSimulator(simulator.arm), np.append(set_points[0], np.zeros(set_points.shape[1]))
+    if diagnosis.dataset.servos is not None and np.any(diagnosis.dataset.servos.impedance > simulator.arm.impedance):
+        free = free.holding()
     command = RecordedCommand(time, set_points, True)
     stretch = CommandedStretch(len(diagnosis.dataset.logs), time, set_points, command, begins)
     motion = stretch.run(free, numbers)

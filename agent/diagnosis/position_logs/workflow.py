@@ -89,11 +89,10 @@ def search_positions(
     free, reference = FreeSimulator(simulator.arm), NominalModel(simulator.model)
     progress("running the simulator under the recorded command")
     fit, how, later = _fitted(free, reference, logs, progress, known_kp)
-    fit = _loaded(fit, reference, progress, known_kp)
     dataset = assemble_positions(fit, simulator.arm, simulator.model, logs)
     if dataset.servos is not None:
         dataset = replace(dataset, servos=replace(dataset.servos, kp_known=known_kp, later=later))
-    said = [*_about(fit, how, later), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
+    said = [*_about(fit, how, later, simulator.arm.impedance), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
     return PositionExplanation(explained(dataset, without, progress), tuple(said))
 
 
@@ -107,7 +106,9 @@ def _fitted(
     """The fit, how the command is held if the motion has to tell, and how much later [s] the other way would be.
 
     The motion tells by its likelihood where the error of each joint is unknown, Π rmse^-N. A recorder holds what it
-    sends; smooth is what does better beyond chance. Where neither does, the other way's delay is as likely.
+    sends; smooth is what does better beyond chance, and worse on no joint: errors of friction prefer either way. Where
+    joints do not agree, the other way's delay is as likely. Friction is as soft as the file's, or holds a stationary
+    joint where that does better beyond chance.
     """
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
@@ -115,25 +116,27 @@ def _fitted(
     # of a start that fades with e^(-t / T), what counts as nothing is left
     lasting = -float(np.log(LIMITS.negligible)) * float(np.max(file.damping / np.maximum(file.kp, 1e-9)))
     settling = min(lasting, _SETTLES)
-    fits: list[OutputErrorFit] = []
-    for way in ways:
-        stretches = stretches_of(logs, way == HELD, settling)
-        scale = usual_scale(reference, file, stretches)
-        if fits:  # a held command is late by half a frame in the middle
-            start = replace(fits[0].numbers, delay=fits[0].numbers.delay + 0.5 * _frame(stretches))
-        else:
-            fixed = Parameters.create(scale, fixed=("kp",))
-            start = fit_output_error(free, reference, stretches, file, file, fixed, progress, _ROUGH).numbers
-        parameters = Parameters.create(scale, fixed=("kp",) if known_kp else ())
-        fits.append(fit_output_error(free, reference, stretches, file, start, parameters, progress))
-    if len(fits) == 1:
-        return fits[0], "", 0.0
-    held, smooth = fits
-    gain = _gain(held, smooth)
-    chance = _by_chance(1)
-    if gain > chance:
+    stretches, chance = stretches_of(logs, ways[0] == HELD, settling), _by_chance(1)
+    scale = usual_scale(reference, file, stretches)
+    rough, fine = (Parameters.create(scale, fixed=fixed) for fixed in (("kp",), ("kp",) if known_kp else ()))
+
+    def fitted(arm: FreeSimulator) -> OutputErrorFit:
+        begin = fit_output_error(arm, reference, stretches, file, file, rough, progress, _ROUGH).numbers
+        return fit_output_error(arm, reference, stretches, file, begin, fine, progress)
+
+    soft, firm = fitted(free), fitted(free.holding())
+    held = _loaded(firm if _gains(soft, firm).sum() > chance else soft, reference, progress, known_kp)
+    if len(ways) == 1:
+        return held, "", 0.0
+    # a held command is late by half a frame in the middle
+    begin = replace(held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
+    stretches = stretches_of(logs, False, settling)
+    smooth = fit_output_error(held.simulator, reference, stretches, file, begin, held.parameters, progress)
+    gains = _gains(held, smooth)
+    if gains.sum() > chance and gains.min() > -chance:
         return smooth, SMOOTH, 0.0
-    return held, HELD, 0.0 if gain < -chance else float(np.mean(smooth.numbers.delay - held.numbers.delay))
+    told_held = gains.sum() < -chance and gains.max() < chance
+    return held, HELD, 0.0 if told_held else float(np.mean(smooth.numbers.delay - held.numbers.delay))
 
 
 def _loaded(
@@ -148,13 +151,13 @@ def _loaded(
     parameters = Parameters.create(scale, fixed=kept, load=True)
     start = replace(file, delay=fit.numbers.delay)
     other = fit_output_error(fit.simulator, reference, stretches, file, start, parameters, progress)
-    return other if _gain(fit, other) > _by_chance(len(LOAD_NUMBERS)) else fit
+    return other if _gains(fit, other).sum() > _by_chance(len(LOAD_NUMBERS)) else fit
 
 
-def _gain(fit: OutputErrorFit, other: OutputErrorFit) -> float:
-    """Log-likelihood that another fit gains, where the error of each joint is unknown."""
+def _gains(fit: OutputErrorFit, other: OutputErrorFit) -> np.ndarray:
+    """(n,) log-likelihood that another fit gains on each joint, where the joint's error is unknown."""
     lasting = sum(float(stretch.time[-1] - stretch.time[0]) for stretch in fit.stretches)
-    return lasting / LIMITS.independent * float(np.sum(np.log(fit.rmse) - np.log(other.rmse)))
+    return np.asarray(lasting / LIMITS.independent * (np.log(fit.rmse) - np.log(other.rmse)))
 
 
 def _by_chance(count: int) -> float:
@@ -166,7 +169,7 @@ def _frame(stretches: Sequence[CommandedStretch]) -> float:
     return float(np.median(np.concatenate([np.diff(stretch.time) for stretch in stretches])))
 
 
-def _about(fit: OutputErrorFit, how: str, later: float) -> list[str]:
+def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -> list[str]:
     name = fit.simulator.arm.path.name
     said = [
         f"no torque was measured: {name} runs under the recorded command, and its motion is compared with the measured "
@@ -181,6 +184,11 @@ def _about(fit: OutputErrorFit, how: str, later: float) -> list[str]:
                 f"was smooth, the delay is {1e3 * later:.3g} ms more"
             )
         said.append(text)
+    if np.any(fit.simulator.arm.impedance > impedance):
+        said.append(
+            f"friction of {name} is soft, as MuJoCo's is by default: it lets a stationary joint creep. The arm's "
+            "holds, and is simulated so (solimpfriction of a corrected file)"
+        )
     if lost := lost_frames(fit.stretches, fit.residuals):
         said.append(
             f"the lag behind the command jumps by about a frame at {lost} places: frames were lost there, or stamps "

@@ -36,13 +36,15 @@ class ServoParameters:
 
     `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
     one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right.
-    `later` [s]: the delay may be as much more, as it is unknown how the command was held. `step` [s] of the simulation.
+    `later` [s]: the delay may be as much more, as it is unknown how the command was held. `step` [s] of the simulation,
+    `impedance` (n,) of its friction at rest.
     """
 
     covariance: np.ndarray
     kp: np.ndarray
     delay: float
     file: np.ndarray
+    impedance: np.ndarray
     kp_known: bool = False
     later: float = 0.0
     step: float = 0.0

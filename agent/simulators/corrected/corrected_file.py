@@ -87,6 +87,7 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[C
     numbers = (
         ("frictionloss", before.frictionloss, after.frictionloss, released.friction),
         ("damping", before.damping, after.damping, released.friction),
+        ("solimpfriction", before.impedance, after.impedance, released.holding),
         ("armature", before.armature, after.armature, released.rotors),
         ("stiffness", before.stiffness, after.stiffness, released.springs),
         ("springref", before.rest, after.rest, released.springs),

@@ -37,6 +37,7 @@ class Released:
     friction: dict[int, str] = field(default_factory=dict)
     offsets: dict[int, float] = field(default_factory=dict)
     springs: dict[int, str] = field(default_factory=dict)
+    holding: dict[int, str] = field(default_factory=dict)
     gains: dict[int, str] = field(default_factory=dict)
     gravity: str = ""
 
@@ -128,7 +129,12 @@ def correct(
 
 
 def with_servos(
-    found: Correction, stiffness: np.ndarray, damping: np.ndarray, delay: np.ndarray, reasons: Mapping[str, str]
+    found: Correction,
+    stiffness: np.ndarray,
+    damping: np.ndarray,
+    delay: np.ndarray,
+    impedance: np.ndarray,
+    reasons: Mapping[str, str],
 ) -> Correction:
     """The correction with its servos' stiffness, damping (kv) and delay (n,) changed; `reasons` by kind and joint.
 
@@ -137,6 +143,7 @@ def with_servos(
         stiffness: (n,) kp [N·m/rad].
         damping: (n,) kv [N·m·s/rad].
         delay: (n,) of the command [s].
+        impedance: (n,) of friction at rest.
         reasons: why, by kind and joint.
     """
     servos, released = found.arm.servos, found.released
@@ -146,7 +153,9 @@ def with_servos(
     moved = (stiffness != servos.stiffness) | (damping != servos.damping) | (delay != servos.delay)
     for k in np.flatnonzero(moved).tolist():
         released.gains[k] = reasons.get(found.arm.joint_names[k], "delay of the command")
-    return replace(found, arm=replace(found.arm, servos=changed))
+    for k in np.flatnonzero(impedance != found.arm.impedance).tolist():
+        released.holding[k] = "friction holds the stationary joint"
+    return replace(found, arm=replace(found.arm, servos=changed, impedance=impedance))
 
 
 def _spring(arm: SimulatedArm, joint: int, added: tuple[float, float]) -> tuple[float, float] | None:

@@ -82,7 +82,7 @@ class UrdfEdits:
 class MjcfEdits:
     """Edits of an MJCF and its includes. `out` is the main file; copies of changed includes go next to it."""
 
-    numbers: tuple[str, ...] = ("frictionloss", "damping", "armature", "stiffness", "springref")
+    numbers: tuple[str, ...] = ("frictionloss", "damping", "solimpfriction", "armature", "stiffness", "springref")
     zero = "ref"
 
     def __init__(self, arm: SimulatedArm, out: Path):
