@@ -90,13 +90,14 @@ class Explanation:
     def stands(self, best: float, enough: float) -> bool:
         """Whether its causes hold against an explanation that moves more numbers and leaves `best`.
 
-        Its causes may leave `enough` times as much. A load may leave only what chance explains, and other effects that
-        may be links nothing more.
+        Its causes may leave `enough` times as much. A load may leave only what chance explains, as any effect where
+        gains of servos may be wrong, and other effects that may be links nothing more.
         """
         if _like_links(self.selected.causes):
             return self.left <= best
         like_load = any(candidate.effect.numbers == "load" for candidate in self.selected.causes)
-        return self.left <= LIMITS.alike * best if like_load else self.left - best <= enough
+        of_servos = self.dataset.servos is not None
+        return self.left <= LIMITS.alike * best if like_load or of_servos else self.left - best <= enough
 
     @property
     def left(self) -> float:
