@@ -44,11 +44,10 @@ class CarryingBody:
 class SimulatedArm:
     """One arm of a file: `robot` is its chain, with gear ratios of 1 and joints called as in the description or logs.
 
-    Per joint (n,), on the joint side: armature [kg·m²], damping [N·m·s/rad], frictionloss [N·m], its impedance at rest
-    (1: a stationary joint holds, less: it creeps), stiffness [N·m/rad] and the rest position [rad] of the spring;
-    `file_joints` are the joints' names in the file. `carrying`
-    (n,): which body takes a change of each link. `servos`: those of the file's joints, or why it has none. `step` [s]
-    is that of the file's physics.
+    Per joint (n,), on the joint side: armature [kg·m²], damping [N·m·s/rad], frictionloss [N·m], its impedance (1:
+    it holds a stationary joint; less: that creeps), stiffness [N·m/rad] and the rest position [rad] of the spring;
+    `file_joints` are the joints' names in the file. `carrying` (n,): which body takes a change of each link. `servos`:
+    those of the file's joints, or why it has none. `step` [s] is that of the file's physics.
     """
 
     path: Path

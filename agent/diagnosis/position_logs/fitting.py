@@ -261,6 +261,8 @@ def _bounded_step(
 
 
 def _run(simulator: FreeSimulator, table: np.ndarray, stretches: Sequence[CommandedStretch]) -> list[FreeMotion] | None:
+    if not np.all(np.isfinite(table)):
+        return None
     numbers, load = ServoNumbers.of_table(table[:-_LOAD].reshape(len(KINDS), -1)), table[-_LOAD:]
     carrying = simulator.carrying(_shape(load) @ load) if load.any() else simulator
     ran = []

@@ -37,7 +37,7 @@ class ServoParameters:
     `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
     one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right.
     `later` [s]: the delay may be as much more, as it is unknown how the command was held. `step` [s] of the simulation,
-    `impedance` (n,) of its friction at rest.
+    `impedance` (n,) of friction as in `SimulatedArm`.
     """
 
     covariance: np.ndarray

@@ -143,7 +143,7 @@ def with_servos(
         stiffness: (n,) kp [N·m/rad].
         damping: (n,) kv [N·m·s/rad].
         delay: (n,) of the command [s].
-        impedance: (n,) of friction at rest.
+        impedance: (n,) of friction, as in `SimulatedArm`.
         reasons: why, by kind and joint.
     """
     servos, released = found.arm.servos, found.released
