@@ -57,7 +57,7 @@ def _lag(log: Log, other: np.ndarray | None, is_velocity: bool) -> float | None:
         return None
     lags = []
     for joint in np.flatnonzero(np.ptp(log.position, axis=0) > MOVING):
-        early, late, slope = [], [], []
+        early, late, slope = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
         for a, b in log.segments:
             if b - a < 2 * log.sample_rate / _SLOW:
                 continue
