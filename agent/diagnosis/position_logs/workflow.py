@@ -129,7 +129,7 @@ def _fitted(
     if len(ways) == 1:
         return held, "", 0.0
     # a held command is late by half a frame in the middle
-    begin = replace(held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
+    begin = replace(file if held.load.any() else held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
     stretches = stretches_of(logs, False, settling)
     smooth = fit_output_error(held.simulator, reference, stretches, file, begin, held.parameters, progress)
     gains = _gains(held, smooth)
