@@ -106,9 +106,9 @@ def _fitted(
     """The fit, how the command is held if the motion has to tell, and how much later [s] the other way would be.
 
     The motion tells by its likelihood where the error of each joint is unknown, Π rmse^-N. A recorder holds what it
-    sends; smooth is what does better beyond chance, and worse on no joint: errors of friction prefer either way. Where
-    joints do not agree, the other way's delay is as likely. Friction is as soft as the file's, or holds a stationary
-    joint where that does better beyond chance.
+    sends; smooth is what does better beyond chance where joints that prefer the other way count for nothing, as an
+    effect on a joint prefers either way. Where joints do not agree, the other way's delay is as likely. Friction is as
+    soft as the file's, or holds a stationary joint where that does better beyond chance.
     """
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
@@ -133,9 +133,10 @@ def _fitted(
     stretches = stretches_of(logs, False, settling)
     smooth = fit_output_error(held.simulator, reference, stretches, file, begin, held.parameters, progress)
     gains = _gains(held, smooth)
-    if gains.sum() > chance and gains.min() > -chance:
+    for_smooth, for_held = float(np.maximum(gains, 0).sum()), float(np.maximum(-gains, 0).sum())
+    if for_smooth > chance and for_held <= LIMITS.negligible * for_smooth:
         return smooth, SMOOTH, 0.0
-    told_held = gains.sum() < -chance and gains.max() < chance
+    told_held = for_held > chance and for_smooth <= LIMITS.negligible * for_held
     return held, HELD, 0.0 if told_held else float(np.mean(smooth.numbers.delay - held.numbers.delay))
 
 
