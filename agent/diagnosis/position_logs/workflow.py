@@ -105,10 +105,10 @@ def _fitted(
 ) -> tuple[OutputErrorFit, str, float]:
     """The fit, how the command is held if the motion has to tell, and how much later [s] the other way would be.
 
-    The motion tells by its likelihood where the error of each joint is unknown, Π rmse^-N. A recorder holds what it
-    sends; smooth is what does better beyond chance where joints that prefer the other way count for nothing, as an
-    effect on a joint prefers either way. Where joints do not agree, the other way's delay is as likely. Friction is as
-    soft as the file's, or holds a stationary joint where that does better beyond chance.
+    The likelier way is taken, where the error of each joint is unknown, Π rmse^-N: a recorder holds what it sends, and
+    smooth is what does better beyond chance. An effect on a joint prefers either way, so the motion tells only where
+    joints that prefer the other way count for nothing; else the other way's delay is possible too. Friction is as soft
+    as the file's, or holds a stationary joint where that does better beyond chance.
     """
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
@@ -134,10 +134,9 @@ def _fitted(
     smooth = fit_output_error(held.simulator, reference, stretches, file, begin, held.parameters, progress)
     gains = _gains(held, smooth)
     for_smooth, for_held = float(np.maximum(gains, 0).sum()), float(np.maximum(-gains, 0).sum())
-    if for_smooth > chance and for_held <= LIMITS.negligible * for_smooth:
-        return smooth, SMOOTH, 0.0
-    told_held = for_held > chance and for_smooth <= LIMITS.negligible * for_held
-    return held, HELD, 0.0 if told_held else float(np.mean(smooth.numbers.delay - held.numbers.delay))
+    taken, how, other = (smooth, SMOOTH, held) if for_smooth - for_held > chance else (held, HELD, smooth)
+    agreed = abs(gains.sum()) > chance and min(for_smooth, for_held) <= LIMITS.negligible * max(for_smooth, for_held)
+    return taken, how, 0.0 if agreed else float(np.mean(other.numbers.delay - taken.numbers.delay))
 
 
 def _loaded(
@@ -180,9 +179,10 @@ def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -
         words = {HELD: "held from frame to frame", SMOOTH: "smooth between frames"}
         text = f"the logs do not say how the command was held; by the motion it is {words[how]}"
         if later:
+            other, change = words[SMOOTH if how == HELD else HELD], "more" if later > 0 else "less"
             text = (
-                "neither logs nor motion tell how the command was held: it is taken as held from frame to frame; if it "
-                f"was smooth, the delay is {1e3 * later:.3g} ms more"
+                f"neither logs nor motion tell how the command was held: it is taken as {words[how]}; if it was "
+                f"{other}, the delay is {1e3 * abs(later):.3g} ms {change}"
             )
         said.append(text)
     if np.any(fit.simulator.arm.impedance > impedance):

@@ -36,8 +36,8 @@ class ServoParameters:
 
     `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
     one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right.
-    `later` [s]: the delay may be as much more, as it is unknown how the command was held. `step` [s] of the simulation,
-    `impedance` (n,) of friction as in `SimulatedArm`.
+    `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
+    [s] of the simulation, `impedance` (n,) of friction as in `SimulatedArm`.
     """
 
     covariance: np.ndarray

@@ -46,14 +46,15 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     assert servos is not None
     doubtful = doubtful_gains(dataset)
     values, low, high = _intervals(found, np.asarray)
-    more = {"delay_s": np.full(len(names), servos.later), "armature": servos.step * values[1]}
+    less = {"delay_s": np.full(len(names), min(servos.later, 0.0))}
+    more = {"delay_s": np.full(len(names), max(servos.later, 0.0)), "armature": servos.step * values[1]}
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
-        above = more.get(kind, np.zeros(len(names)))
+        below, above = (changes.get(kind, np.zeros(len(names))) for changes in (less, more))
         table[kind] = tuple(
             None
             if kind != "delay_s" and k in doubtful
-            else (float(row[k]), float(max(least[k], 0.0)), float(most[k] + above[k]))
+            else (float(row[k]), float(max(least[k] + below[k], 0.0)), float(most[k] + above[k]))
             for k in range(len(names))
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
