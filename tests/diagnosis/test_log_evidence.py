@@ -337,3 +337,12 @@ def test_smooth_columns_are_straight_between_nodes():
     still = smooth_columns(np.ones(290), np.zeros(290), np.zeros(290), time, log)
     assert np.isfinite(still).all()
     assert still.shape == (290, 1 + 1 + 1 + 2 + 4 + 3)
+
+
+def test_products_that_round_off_makes_indefinite_still_have_a_factor():
+    """Of an effect far beyond the nominal torque, noise explains nearly all of a column."""
+    size = np.array([1.0, 1e3, 1e9])
+    alike = np.array([[1.0, 0.3, 1.0 + 1e-5], [0.3, 1.0, 0.3], [1.0 + 1e-5, 0.3, 1.0]])
+    assert np.linalg.eigvalsh(alike)[0] < -1e-6
+    lower = noise_model.scaled_cholesky(alike * np.outer(size, size), 1 / size)
+    assert np.allclose(lower @ lower.T, alike, atol=1e-4)

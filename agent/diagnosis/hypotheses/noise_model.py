@@ -237,5 +237,14 @@ def _spread(precision: np.ndarray) -> np.ndarray:
 
 
 def scaled_cholesky(matrix: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Lower Cholesky factor of a positive definite matrix (m, m) whose rows and columns are multiplied by `unit`."""
-    return np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-12 * np.eye(len(unit)))
+    """Lower Cholesky factor of a positive definite matrix (m, m) whose rows and columns are multiplied by `unit`.
+
+    Where noise explains nearly all of a column, round-off of the products may leave less than nothing. What they are
+    wrong by is then added to all.
+    """
+    scaled = matrix * np.outer(unit, unit) + 1e-12 * np.eye(len(unit))
+    try:
+        return np.linalg.cholesky(scaled)
+    except np.linalg.LinAlgError:
+        wrong = -2 * float(np.linalg.eigvalsh(scaled)[0])
+        return np.linalg.cholesky(scaled + wrong * np.eye(len(unit)))
