@@ -167,10 +167,11 @@ def test_a_shoulder_spring_is_not_testable_if_its_link_was_corrected(tmp_path):
     assert "and it matters from 1.0 times on" in said["lift"], "of the model's error: this file has no nominal torque"
 
 
-def explaining(left: float, *effects: str) -> Explanation:
+def explaining(left: float, *effects: str, servos: object = None) -> Explanation:
     causes = [SimpleNamespace(effect=CATALOGUE[name]) for name in effects]
     gap = SimpleNamespace(after=np.sqrt([left]))
-    return Explanation(SimpleNamespace(), SimpleNamespace(), SimpleNamespace(causes=causes), gap)
+    released = SimpleNamespace(moved=SimpleNamespace(servos=servos))
+    return Explanation(released, SimpleNamespace(), SimpleNamespace(causes=causes), gap)
 
 
 @pytest.mark.parametrize(
@@ -187,6 +188,11 @@ def explaining(left: float, *effects: str) -> Explanation:
 def test_a_link_mass_alternative_is_listed_only_if_it_fits_as_well(effect, left, stands):
     assert explaining(left, effect).stands(best=0.1, enough=0.05) == stands
     assert explaining(left, "stribeck", effect).stands(best=0.1, enough=0.05) == stands
+
+
+@pytest.mark.parametrize(("left", "stands"), [(0.105, True), (0.12, False)])
+def test_an_effect_where_gains_may_be_wrong_leaves_no_more_than_moved_numbers(left, stands):
+    assert explaining(left, "stribeck", servos=object()).stands(best=0.1, enough=0.05) == stands
 
 
 @pytest.mark.parametrize(("rise", "possible"), [(0.2, True), (-0.2, False)])

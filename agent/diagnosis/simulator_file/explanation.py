@@ -96,7 +96,7 @@ class Explanation:
         if _like_links(self.selected.causes):
             return self.left <= best
         like_load = any(candidate.effect.numbers == "load" for candidate in self.selected.causes)
-        of_servos = self.dataset.servos is not None
+        of_servos = self.released.moved.servos is not None
         return self.left <= LIMITS.alike * best if like_load or of_servos else self.left - best <= enough
 
     @property
