@@ -39,8 +39,7 @@ def alignment(log: Log) -> Alignment:
 
 def late_velocity(of: Recordings) -> Iterator[QualityFinding]:
     """Velocities that a filter of the recorder delays."""
-    delays = ((log.name, _lag(log, log.velocity, True)) for log in of.logs)
-    lags = {name: lag for name, lag in delays if lag is not None and abs(lag) > _LATE}
+    lags = {log.name: lag for log in of.logs if (lag := alignment(log).velocity) is not None and abs(lag) > _LATE}
     if lags:
         longest = max(lags.values(), key=abs)
         way = "lags" if longest > 0 else "leads"

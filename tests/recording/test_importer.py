@@ -292,6 +292,18 @@ def test_coarse_encoders_and_sudden_starts_lose_no_rows(convert, tmp_path, count
     assert not any("missing" in note for note in notes)
 
 
+@pytest.mark.parametrize("velocity", ["velocity: {columns: [v1, v2]}\n", ""])
+def test_a_log_with_one_short_move_loses_no_rows(convert, tmp_path, velocity):
+    """As of a hobby arm: 4096 counts a turn, and hardly any steps that are many counts."""
+    t = np.arange(2000) / 50
+    slow = 0.0 if velocity else 0.1 * np.sin(0.5 * t)
+    q = np.column_stack([slow + np.clip(t - 20, 0.0, 0.6), 0 * t])
+    q = np.round(q / (2 * np.pi / 4096)) * 2 * np.pi / 4096
+    path = _save(tmp_path / "data.csv", "q1,q2,v1,v2", q, np.gradient(q, t, axis=0))
+    _, notes = convert(f"rate: 50 Hz\nposition: {{columns: [q1, q2]}}\n{velocity}", path)
+    assert not any("missing" in note for note in notes)
+
+
 def test_rows_too_far_apart_for_a_motion_ask_for_the_unit_of_time(convert, tmp_path, table):
     _, values = table
     path = _save(tmp_path / "data.csv", "t,q1,q2", 1e4 * values[:, 0], values[:, 1:3])

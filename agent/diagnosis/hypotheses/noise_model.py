@@ -239,8 +239,8 @@ def _spread(precision: np.ndarray) -> np.ndarray:
 def scaled_cholesky(matrix: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """Lower Cholesky factor of a positive definite matrix (m, m) whose rows and columns are multiplied by `unit`.
 
-    Where noise explains nearly all of a column, round-off of the products may leave less than nothing. What they are
-    wrong by is then added to all.
+    Where noise explains nearly all of a column, round-off of the products may leave less than nothing. Twice what they
+    are wrong by is then added to all.
     """
     scaled = matrix * np.outer(unit, unit) + 1e-12 * np.eye(len(unit))
     try:
