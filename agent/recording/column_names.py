@@ -5,10 +5,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from itertools import pairwise
 
 _TOKEN = re.compile(r"[a-z]+|\d+")
 #: Words of a joint's name that do not say which one it is.
 _COMMON = {"joint", "axis", "link", "motor"}
+#: Words that say which of several arms a column is of: these alone, others before a number.
+_SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
+_NUMBERED = {"arm", "robot"}
 
 
 def _tokens(name: str) -> list[str]:
@@ -38,6 +42,36 @@ def named_joints(columns: Sequence[str], joints: Sequence[str]) -> list[str] | N
             return None
         named.append(joints[sizes.index(best)])
     return named if len(set(named)) == len(named) else None
+
+
+def contradiction(columns: Sequence[str], others: Sequence[str], quantity: str) -> str | None:
+    """What speaks against columns being of the same joints, in the same order, as those of another quantity, if
+    anything does."""
+    arms, other_arms = _arms(columns), _arms(others)
+    if arms and other_arms and not arms & other_arms:
+        return f"are of {min(arms)}, those of {quantity} of {min(other_arms)}"
+    own, other = _own_tokens(columns), _own_tokens(others)
+    if own != other and sorted(own) == sorted(other):
+        k = next(k for k, tokens in enumerate(own) if tokens != other[k])
+        return f"are in another order than those of {quantity}: {columns[k]} stands where {others[k]} does"
+    return None
+
+
+def _arms(columns: Sequence[str]) -> set[str]:
+    """Words of which arm all of the columns are."""
+    of_each = []
+    for tokens in map(_tokens, columns):
+        sides = {_SIDES[token] for token in tokens if token in _SIDES}
+        numbered = {word + number for word, number in pairwise(tokens) if word in _NUMBERED and number.isdigit()}
+        of_each.append(sides | numbered)
+    return set.intersection(*of_each)
+
+
+def _own_tokens(columns: Sequence[str]) -> list[list[str]]:
+    """Of each column, the tokens that not all of them have."""
+    tokens = [_tokens(column) for column in columns]
+    shared = set.intersection(*map(set, tokens))
+    return [[token for token in each if token not in shared] for each in tokens]
 
 
 def prefixed(joints: Sequence[str], known: Collection[str]) -> dict[str, str]:

@@ -28,8 +28,6 @@ from agent.recording.tables import read_table
 from agent.robot import RobotDescription
 
 _SET_POINTS = ("reference_position", "planned_position")
-#: A slower recording [Hz] does not show a motion: an arm crosses its range in a few seconds. No drive is faster.
-_SLOWEST, _FASTEST = 0.5, 50e3
 
 
 def import_log(
@@ -113,11 +111,8 @@ def _assembled(source: Source, output: Path) -> tuple[Log, np.ndarray | None]:
     order = put_in_order(stamp, [present[name] for name in ("position", "effort") if name in present], source.clock)
     present = {name: array[order.rows] for name, array in present.items()}
     spacing = spacing_of(order.stamp, entries.rate)
-    if not _SLOWEST <= spacing.rate <= _FASTEST and entries.time is not None:
-        slow = spacing.rate < _SLOWEST
-        what, units = ("too far for a motion", "ms, us or ns") if slow else ("too near for an arm", "s or ms")
-        rows = f"rows are {1 / spacing.rate:.3g} s apart ({spacing.rate:.3g} Hz), {what}"
-        mapping.fault("time.unit", f"{rows}: is {', '.join(entries.time.units())} right, or is it {units}?")
+    if entries.time is not None:
+        source.check_rate(spacing.rate, (len(order.stamp) - 1) / max(float(np.ptp(order.stamp)) / NANO, 1 / NANO))
     repairs = (*order.repairs, *spacing.repairs)
     notes += map(str, repairs)
     machine = {key: value for key in MACHINE if (value := getattr(entries, key)) is not None}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import Dimension, InputError, counted, parse_quantity
-from agent.recording.column_names import named_joints
+from agent.recording.column_names import contradiction, named_joints
 from agent.recording.joined_columns import TimedColumn, join, one_clock
 from agent.recording.log import ARRAYS, NANO
 from agent.recording.mapping import (
@@ -38,6 +38,8 @@ _ROWS_A_SECOND = 5
 _PROPORTIONAL, _ROUNDED = 0.999, 0.02
 #: Latest time that a header stamp can hold [s].
 _LATEST = 2.0**31
+#: A slower recording [Hz] does not show a motion: an arm crosses its range in a few seconds. No drive is faster.
+_SLOWEST, _FASTEST = 0.5, 50e3
 
 
 def position_columns(mapping: Mapping, tables: Sequence[ColumnTable]) -> list[str]:
@@ -65,6 +67,7 @@ class Source:
         self.clock = str(mapping.path)  # what says when a row was, for messages
         self.notes = [f"{table.path.name}: {note}" for table in tables for note in table.notes]
         self.tables_of: dict[str, list[ColumnTable]] = {}
+        self._titles: dict[str, list[str]] = {}
 
     def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Time (S,) [s] of the rows, and the columns (S, k) of each quantity that the mapping names, of `rows` too."""
@@ -115,6 +118,10 @@ class Source:
             time, values = (short, next(by_row)) if time is first else (time, column)
             rows = min(len(time), len(values))
             timed.append(TimedColumn(time[:rows] if rows < len(time) else time, values[:rows], what != "rows"))
+        for time in clocks.values():  # as of a file in seconds that is read as milliseconds
+            known = time[np.isfinite(time)]
+            mean = (len(known) - 1) / max(np.ptp(known), 1 / NANO)
+            self.check_rate(mean, mean, slowest=0.0)
         if one_clock(timed):
             return [timed[0].time, *(each.values for each in timed)]
         joined = join(timed)
@@ -126,6 +133,20 @@ class Source:
         files = ", ".join(dict.fromkeys(table.path.name for _, table, _ in columns))
         self.notes.append(f"{files}: columns have stamps of their own, joined by time: {counted(len(time), 'row')}")
         return [time, *arrays]
+
+    def check_rate(self, rate: float, mean: float, slowest: float = _SLOWEST) -> None:
+        """Raise InputError if rows come at a usual rate [Hz] that no recording of an arm has; `mean` counts pauses."""
+        assert self.mapping.entries.time is not None
+        if slowest <= rate <= _FASTEST:
+            return
+        slow, given = rate < slowest, self.mapping.entries.time.units()
+        what = "too far for a motion" if slow else "too near for an arm"
+        rows = f"rows are {1 / rate:.3g} s apart ({rate:.3g} Hz), {what}"
+        if not slow and _SLOWEST <= mean <= _FASTEST:
+            what = f"{rows}, with pauses in between: stamps of arrival? If the rows were sampled evenly, write rate: "
+            self.mapping.fault("time", f"{what}{mean:.3g} Hz instead of time")
+        units = ", ".join(unit for unit in (("ms", "us", "ns") if slow else ("s", "ms")) if unit not in given)
+        self.mapping.fault("time.unit", f"{rows}: is {', '.join(given)} right, or is it {units}?")
 
     def _check_late(self, time: np.ndarray, key: str) -> None:
         """Times (S,) [s] that no header holds become NaN, or raise InputError where they are more than a few."""
@@ -277,6 +298,9 @@ class Source:
             self.mapping.fault(
                 f"{key}.columns", f"the joints are {', '.join(joints)}, but {of}; write them in that order"
             )
+        if what := contradiction(titles, self._titles.get("position", titles), "position"):
+            self.mapping.fault(f"{key}.columns", f"the columns {what}; name those of the same joints")
+        self._titles[key] = titles
         files = [table.path.name for table, _ in located]
         titles = titles if len({*files}) == 1 else [f"{a} of {b}" for a, b in zip(titles, files, strict=True)]
         pairs = ", ".join(f"{name} from {title}" for name, title in zip(joints, titles, strict=True))

@@ -1,5 +1,6 @@
 """Tables become logs by mapping files; the examples for measured data give what direct computation gives."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -99,13 +100,13 @@ def test_converts_motor_side_columns_by_gears_and_coupling(convert, table):
     path, values = table
     log, _ = convert(
         "time: {column: time}\nside: motor\nposition: {columns: [q1, q2]}\nvelocity: {columns: [v1, v2], unit: rpm}\n"
-        "effort: {columns: [e1, e2], unit: A}\nreference_position: {columns: [q2, q1]}\n",
+        "effort: {columns: [e1, e2], unit: A}\nreference_position: {columns: [q1, q2]}\n",
         path,
     )
     ratio = np.diag([-50.0, 200.0]) @ np.array([[1.0, 0.0], [0.25, 1.0]])  # joint speed to motor speed
     np.testing.assert_allclose(log.position @ ratio.T, values[:, 1:3], atol=1e-12)
     np.testing.assert_allclose(log.velocity @ ratio.T, values[:, 3:5] * np.pi / 30, atol=1e-12)
-    np.testing.assert_allclose(log.reference_position @ ratio.T, values[:, [2, 1]], atol=1e-12)
+    np.testing.assert_allclose(log.reference_position @ ratio.T, values[:, 1:3], atol=1e-12)
     motor_torque = values[:, 5:7] * [0.5, 0.1]
     np.testing.assert_allclose(log.effort, motor_torque @ ratio, atol=1e-12)
     # the power is the same on both sides
@@ -260,6 +261,24 @@ def test_columns_that_are_named_after_other_joints_are_refused(convert, tmp_path
     np.testing.assert_array_equal(log.position, values[:, [2, 1]])
 
 
+@pytest.mark.parametrize(
+    ("names", "effort", "says"),
+    [
+        ("left_turn,left_slide,right_turn,right_slide", "right_turn, right_slide", "are of right, .*position of left"),
+        ("arm1_A,arm1_B,arm2_A,arm2_B", "arm2_A, arm2_B", "are of arm2, those of position of arm1"),
+        ("q1,q2,tau1,tau2", "tau2, tau1", "are in another order than those of position: tau2 stands where q1 does"),
+        ("left_A,left_B,left_FA,left_FB", "left_FA, left_FB", None),
+        ("q0,q1,tau0,tau1", "tau0, tau1", None),
+    ],
+)
+def test_columns_of_two_quantities_are_of_the_same_joints(convert, tmp_path, table, names, effort, says):
+    _, values = table
+    path = _save(tmp_path / "data.csv", names, values[:, [1, 2, 5, 6]])
+    mapping = f"rate: 200 Hz\nposition: {{columns: [1, 2]}}\neffort: {{columns: [{effort}]}}\n"
+    with pytest.raises(InputError, match=f"effort.columns: the columns {says}") if says else contextlib.nullcontext():
+        convert(mapping, path)
+
+
 @pytest.mark.parametrize("velocity", ["velocity: {columns: [v1, v2]}\n", ""])
 @pytest.mark.parametrize("share", [0.01, 0.06])
 def test_rows_that_were_lost_show_in_how_far_positions_go(convert, tmp_path, share, velocity):
@@ -283,12 +302,14 @@ def test_rows_that_were_lost_show_in_how_far_positions_go(convert, tmp_path, sha
     assert not any("missing" in note for note in notes)
 
 
+@pytest.mark.parametrize("velocity", ["velocity: {columns: [v1, v2]}\n", ""])
 @pytest.mark.parametrize("count", [1e-3, 1e-9])
-def test_coarse_encoders_and_sudden_starts_lose_no_rows(convert, tmp_path, count):
+def test_coarse_encoders_and_sudden_starts_lose_no_rows(convert, tmp_path, count, velocity):
+    """A velocity as many drives give it: the way since the row before, which is late by half a row."""
     steps = np.repeat([0.0, 1.5, 0.0, 4.0, -2.0, 0.0, 1.0], 60) * 1e-3
     q = np.round(np.cumsum(np.tile(steps, 5)) / count) * count
-    path = _save(tmp_path / "data.csv", "q1,q2", q, 0 * q)
-    _, notes = convert("rate: 500 Hz\nposition: {columns: [q1, q2]}\n", path)
+    path = _save(tmp_path / "data.csv", "q1,q2,v1,v2", q, 0 * q, 500 * np.diff(q, prepend=0.0), 0 * q)
+    _, notes = convert(f"rate: 500 Hz\nposition: {{columns: [q1, q2]}}\n{velocity}", path)
     assert not any("missing" in note for note in notes)
 
 
@@ -309,6 +330,24 @@ def test_rows_too_far_apart_for_a_motion_ask_for_the_unit_of_time(convert, tmp_p
     path = _save(tmp_path / "data.csv", "t,q1,q2", 1e4 * values[:, 0], values[:, 1:3])
     with pytest.raises(InputError, match=r"map.yaml:1: time.unit: rows are 50 s apart .*is s right, or is it ms"):
         convert("time: {column: t}\nposition: {columns: [q1, q2]}\n", path)
+
+
+def test_rows_of_arrival_without_a_rhythm_ask_for_a_rate(convert, tmp_path, table):
+    _, values = table
+    burst = np.searchsorted(np.cumsum(np.random.default_rng(2).integers(1, 9, len(values))), np.arange(len(values)))
+    time = burst * values[-1, 0] / burst[-1] + 1e-5 * np.arange(len(values))
+    path = _save(tmp_path / "data.csv", "t,q1,q2", time, values[:, 1:3])
+    with pytest.raises(InputError, match=r"map.yaml:1: time: rows are 1e-05 s .* rate: 20[01] Hz instead of time"):
+        convert("time: {column: t}\nposition: {columns: [q1, q2]}\n", path)
+
+
+def test_files_in_different_units_of_time_are_refused(convert, tmp_path, table):
+    _, values = table
+    a = _save(tmp_path / "a.csv", "t,q1,q2", 1e3 * values[:, 0], values[:, 1:3])
+    b = _save(tmp_path / "b.csv", "t,e1,e2", values[:, 0], values[:, 5:7])
+    mapping = "time: {column: t, unit: ms}\nposition: {columns: [q1, q2]}\neffort: {columns: [e1, e2]}\n"
+    with pytest.raises(InputError, match=r"map.yaml:1: time.unit: rows are 5e-06 s apart .*is ms right, or is it s\?"):
+        convert(mapping, a, b)
 
 
 def test_repairs_broken_and_jittered_rows(convert, tmp_path, table):

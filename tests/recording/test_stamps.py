@@ -143,10 +143,11 @@ def test_stamps_of_arrival_are_spread_evenly(log_at, size):
         + rng.uniform(0, 0.02, 2000 // size)[burst] * size / 200
         + np.arange(2000) % size * 1e-4
     )
-    log = log_at(arrival, position=np.sin(true))
+    begun = 4 * size // 5  # the recorder is started in the middle of a burst
+    log = log_at(arrival[begun:], position=np.sin(true)[begun:])
     assert log.sample_rate == pytest.approx(200, rel=2e-3)
     assert len(log.segments) == 1
-    assert repair(log, f"stamps of arrival, {size} at a time every {size / 200:.3g} s").count == 2000
+    assert repair(log, f"stamps of arrival, {size} at a time every {size / 200:.3g} s").count == 2000 - begun
 
 
 def test_bursts_that_were_sampled_as_bursts_stay(log_at):

@@ -89,8 +89,10 @@ def evened_bursts(stamp: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, 
     way = np.abs(np.diff(position, axis=0)).sum(axis=1)
     if not way.any() or np.mean(way[pause]) > _FURTHER * np.mean(way[~pause]):
         return stamp, []
-    slope, intercept = line(starts.astype(float), (stamp[starts] - stamp[0]).astype(float))
-    if np.abs(stamp[starts] - stamp[0] - intercept - slope * starts).max() > 0.5 * np.mean(apart):
+    # the last sample of a burst is taken as it arrives; the first and the last burst may be cut short
+    last, arrival = starts[1:].astype(float) - 1, (stamp[starts[:-1]] - stamp[0]).astype(float)
+    slope, intercept = line(last, arrival)
+    if np.abs(arrival - intercept - slope * last).max() > 0.5 * np.mean(apart):
         return stamp, []
     even = stamp[0] + np.rint(intercept + slope * np.arange(len(stamp))).astype(np.int64)
     kind = f"stamps of arrival, {np.median(size):.0f} at a time every {np.mean(apart) / NANO:.3g} s, spread evenly"
@@ -111,9 +113,10 @@ def with_lost_rows(
     if velocity is None:
         by_velocity, whose = _usual_steps(way), "their neighbours say, which slow steps do not show"
     else:
-        by_velocity, whose = 0.5 * (velocity[1:] + velocity[:-1]) * step[:, None] / NANO, "the velocity says"
+        ends = velocity[:-1] * step[:, None] / NANO, velocity[1:] * step[:, None] / NANO
+        by_velocity, whose = _steady(*ends, way), "the velocity says"
     square = np.sum(by_velocity**2, axis=1)
-    large = np.quantile(square, 0.95)
+    large, longest = (np.quantile(each, 0.95) for each in (square, np.sum(way**2, axis=1)))
     clear = square > _CLEAR**2 * large
     times = np.sum(way * by_velocity, axis=1) / np.where(square > 0, square, 1.0)
     error = np.sum((way - times[:, None] * by_velocity) ** 2, axis=1)
@@ -126,7 +129,7 @@ def with_lost_rows(
         return stamp, []
     beyond = np.pad(np.cumsum(way - by_velocity, axis=0), ((_SPIKE + 1, _SPIKE), (0, 0)), mode="edge")
     jump, lasting = way - by_velocity, beyond[2 * _SPIKE + 1 :] - beyond[: -2 * _SPIKE - 1]
-    cut = ~lost & (np.minimum(np.sum(jump**2, axis=1), np.sum(lasting**2, axis=1)) > _JUMP**2 * large)
+    cut = ~lost & (np.minimum(np.sum(jump**2, axis=1), np.sum(lasting**2, axis=1)) > _JUMP**2 * longest)
     missing = np.where(lost, periods - 1, 0).astype(np.int64)
     repairs = []
     for places, what in (
@@ -142,11 +145,16 @@ def with_lost_rows(
 
 
 def _usual_steps(way: np.ndarray) -> np.ndarray:
-    """(S, n) how far the steps around each of `way` (S, n) go, on which single lost rows have no influence; zero where
-    those before and after differ, as where a motion starts, or are few counts of an encoder."""
+    """(S, n) how far the steps around each of `way` (S, n) go, on which single lost rows have no influence."""
     padded = np.pad(way, ((_AROUND, _AROUND), (0, 0)), mode="edge")
     sides = [range(_AROUND), range(_AROUND + 1, 2 * _AROUND + 1)]
     before, after = (np.median([padded[k : k + len(way)] for k in side], axis=0) for side in sides)
+    return _steady(before, after, way)
+
+
+def _steady(before: np.ndarray, after: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """(S, n) the mean of two expected steps; zero where they differ, as where a motion starts, or are few counts of the
+    encoder that made the steps `way` (S, n)."""
     usual, distance = 0.5 * (before + after), np.abs(way)
     alike = np.sum((after - before) ** 2, axis=1) < (2 * _WHOLE) ** 2 * np.sum(usual**2, axis=1)
     count = np.min(distance, axis=0, where=distance > _COUNT, initial=np.inf)  # of the encoder, or of the file
