@@ -1,7 +1,9 @@
 """The world of positions and commands: what it draws, records and exports."""
 
 from collections import Counter
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,23 +22,27 @@ from fake_controller.servoed.cases import EFFECTS, draw_cases
 from tests.conftest import ROOT
 
 pytest.importorskip("mujoco")
-CASES = draw_cases(90, 3)
-
-
-#: A run of a small arm that a person leads, and an effect of it.
-SMALL = {**next(case for case in CASES if case["joints"] == 3), "kind": "none", "motions": "led", "effects": []}
+#: An effect of the small run.
 LATE = [{"effect": "time_delay", "joints": [], "parameters": {"delay": 0.06}}]
+
+
+@cache
+def cases() -> list[dict[str, Any]]:
+    return draw_cases(90, 3)
+
+
+def small(form: str, **changes: Any) -> dict[str, Any]:
+    """A run of a small arm that a person leads, its logs in this format."""
+    case = next(case for case in cases() if case["joints"] == 3)
+    plain = {"kind": "none", "motions": "led", "effects": [], "frames": {**case["frames"], "format": form}}
+    return {**case, **plain, **changes}
 
 
 class OneRun(ServoedWorld):
     """The small run alone."""
 
     def draw(self, count: int, seed: int, laws: str):
-        return [{**SMALL, "number": 0, "frames": frames("lerobot")}]
-
-
-def frames(form: str) -> dict[str, object]:
-    return {**SMALL["frames"], "format": form}
+        return [small("lerobot", number=0)]
 
 
 def logs_in(folder: Path):
@@ -53,15 +59,15 @@ def miss_of_the_file(folder: Path) -> float:
 
 
 def test_kinds_effects_and_arms_are_spread_evenly():
-    assert Counter(case["kind"] for case in CASES) == {"none": 30, "one": 36, "two": 12, "outside": 12}
-    drawn = Counter(e["effect"] for case in CASES if case["kind"] != "outside" for e in case["effects"])
+    assert Counter(case["kind"] for case in cases()) == {"none": 30, "one": 36, "two": 12, "outside": 12}
+    drawn = Counter(e["effect"] for case in cases() if case["kind"] != "outside" for e in case["effects"])
     assert set(drawn) == set(EFFECTS) <= set(CATALOGUE)
     assert max(drawn.values()) <= min(drawn.values()) + 6
-    outside = {e["effect"] for case in CASES if case["kind"] == "outside" for e in case["effects"]}
+    outside = {e["effect"] for case in cases() if case["kind"] == "outside" for e in case["effects"]}
     assert len(outside) == 5
     assert outside.isdisjoint(CATALOGUE)
-    assert {case["joints"] for case in CASES} == {3, 4, 5, 6, 7}
-    assert {case["frames"]["rate"] for case in CASES} == {30, 50, 100, 200}
+    assert {case["joints"] for case in cases()} == {3, 4, 5, 6, 7}
+    assert {case["frames"]["rate"] for case in cases()} == {30, 50, 100, 200}
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +75,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     """A healthy arm in tables, and the same with a late command in a LeRobot folder."""
     folder = tmp_path_factory.mktemp("runs")
     sizes = [
-        write({"truth": {**SMALL, "effects": effects, "frames": frames(form)}, "folder": folder / name, "seconds": 9.0})
+        write({"truth": small(form, effects=effects), "folder": folder / name, "seconds": 9.0})
         for name, effects, form in (("healthy", [], "csv"), ("late", LATE, "lerobot"))
     ]
     assert sizes[0]["size"] is None
@@ -81,7 +87,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
 def test_runs_are_read_as_they_stand(runs):
     for folder in runs.values():
         logs = logs_in(folder)
-        assert [len(log.t) for log in logs] == [9 * SMALL["frames"]["rate"]] * 2
+        assert [len(log.t) for log in logs] == [9 * small("csv")["frames"]["rate"]] * 2
         assert all(log.reference_position is not None and log.effort is None for log in logs)
         assert max(np.abs(log.position - log.reference_position).max() for log in logs) < 0.5
 

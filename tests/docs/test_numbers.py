@@ -1,6 +1,7 @@
 """Every number that may change an answer has a line in docs/measured/numbers.csv, and varying one varies that alone."""
 
 from dataclasses import replace
+from functools import cache
 
 import grimp
 import pytest
@@ -10,12 +11,15 @@ from agent.model import CATALOGUE
 from agent.model.effects import payload, stribeck
 from benchmarks import sensitivity
 
-NUMBERS = {site.key: site for site in sensitivity.sites()}
+
+@cache
+def numbers() -> dict[str, sensitivity.Site]:
+    return {site.key: site for site in sensitivity.sites()}
 
 
 def test_every_number_has_its_line():
     lines = {number: row["value"] for number, row in sensitivity.table().items()}
-    now = {number: site.value for number, site in NUMBERS.items()}
+    now = {number: site.value for number, site in numbers().items()}
     differ = sorted(number for number in now.keys() | lines.keys() if now.get(number) != lines.get(number))
     assert differ == [], "say what they change, or take them out: python benchmarks/sensitivity.py --runs 12"
     assert sensitivity.PAGE.read_text("utf-8") == sensitivity.page(list(sensitivity.table().values()))
@@ -23,7 +27,7 @@ def test_every_number_has_its_line():
 
 def test_what_is_called_numerical_changes_nothing():
     rows = sensitivity.table()
-    claimed = [rows[number] for number, site in NUMBERS.items() if site.claims == "numerical"]
+    claimed = [rows[number] for number, site in numbers().items() if site.claims == "numerical"]
     changed = [row["number"] for row in claimed if any(int(row[name] or 0) for name in sensitivity.COLUMNS[4:])]
     assert changed == [], "it decides: say so in its comment"
 
@@ -45,7 +49,7 @@ def test_numbers_of_figures_belong_to_packages_that_no_verdict_is_made_by():
 
 @pytest.fixture
 def numerical():
-    return replace(NUMBERS["diagnosis/hypotheses/pool: _AT_ONCE"], comment="numerical: rows worked out together")
+    return replace(numbers()["diagnosis/hypotheses/pool: _AT_ONCE"], comment="numerical: rows worked out together")
 
 
 @pytest.mark.parametrize(
@@ -61,22 +65,22 @@ def test_a_number_is_varied_wherever_it_stands_and_put_back():
     plausible = CATALOGUE["payload"].plausible
     light = {"mass": 0.015, **dict.fromkeys(("moment_x", "moment_y", "moment_z"), 0.0)}
     assert plausible({}, light)
-    with sensitivity.changed(NUMBERS["model/effects/payload: _LEAST_MASS"], 2.0):
+    with sensitivity.changed(numbers()["model/effects/payload: _LEAST_MASS"], 2.0):
         assert not plausible({}, light)
     assert plausible({}, light)
-    with sensitivity.changed(NUMBERS["diagnosis/hypotheses/law: EvidenceLaw.sure"], 2.0):
+    with sensitivity.changed(numbers()["diagnosis/hypotheses/law: EvidenceLaw.sure"], 2.0):
         assert LAW.sure == pytest.approx(0.2)
     assert LAW.sure == 0.6
-    with sensitivity.changed(NUMBERS["model/effects/effect: Effect.needs_travel"], 2.0):
+    with sensitivity.changed(numbers()["model/effects/effect: Effect.needs_travel"], 2.0):
         assert CATALOGUE["stribeck"].needs_travel == 2 * 0.02
     assert stribeck.Stribeck.needs_travel == 0.02
-    with sensitivity.changed(NUMBERS["model/effects/encoder_offset: EncoderOffset.plausible.0.3"], 0.5):
+    with sensitivity.changed(numbers()["model/effects/encoder_offset: EncoderOffset.plausible.0.3"], 0.5):
         assert not CATALOGUE["encoder_offset"].plausible({}, {"offset": 0.2})
     assert CATALOGUE["encoder_offset"].plausible({}, {"offset": 0.2})
     finest = CATALOGUE["backlash"].grid[0]
-    with sensitivity.changed(NUMBERS["model/effects/backlash: _GAPS"], 2.0):
+    with sensitivity.changed(numbers()["model/effects/backlash: _GAPS"], 2.0):
         assert CATALOGUE["backlash"].grid[0][-1] == 2 * finest[-1]
     assert CATALOGUE["backlash"].grid[0] == finest
-    with sensitivity.changed(NUMBERS["model/effects/payload: _LEAST_RADIUS"], 0.5):
+    with sensitivity.changed(numbers()["model/effects/payload: _LEAST_RADIUS"], 0.5):
         assert payload._LEAST_RADIUS == 0.025
     assert payload._LEAST_RADIUS == 0.05
