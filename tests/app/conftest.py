@@ -41,7 +41,7 @@ def write_recipe(tmp_path: Path) -> Callable[..., Path]:
     """Writes a small recipe into the test's folder; keyword arguments: cycles, motions, speed, gate."""
 
     def write(address: str, **values: object) -> Path:
-        chosen = {"cycles": 2, "motions": 2, "speed": "0.2 m/s", "gate": 0.03, **values}
+        chosen = {"cycles": 2, "motions": 2, "speed": "1 m/s", "gate": 0.03, **values}
         path = tmp_path / "recipe.yaml"
         path.write_text(RECIPE.format(address=address, **chosen), encoding="utf-8")
         return path

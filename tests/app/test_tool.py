@@ -17,8 +17,8 @@ SMALL = {
     "population: 50": "population: 8",
     "generations: 40": "generations: 2",
     "cycles: 100": "cycles: 2",
-    "motions: 30": "motions: 2",
-    "speed: 0.1 m/s": "speed: 0.2 m/s",
+    "motions: 30": "motions: 1",
+    "speed: 0.1 m/s": "speed: 1 m/s",
 }
 
 
