@@ -3,8 +3,10 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from types import CodeType
 
 import grimp
 
@@ -28,9 +30,8 @@ def test_no_class_name_stands_for_two_things():
     places: dict[str, list[str]] = {}
     for package in PACKAGES:
         for path in sorted((ROOT / package).rglob("*.py")):
-            for node in ast.parse(path.read_text("utf-8")).body:
-                if isinstance(node, ast.ClassDef):
-                    places.setdefault(node.name, []).append(path.relative_to(ROOT).as_posix())
+            for name in re.findall(r"^class (\w+)", path.read_text("utf-8"), re.M):
+                places.setdefault(name, []).append(path.relative_to(ROOT).as_posix())
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
@@ -38,14 +39,12 @@ def test_a_package_is_imported_through_its_public_names():
     """Other packages use only the names that a package's `__init__` exports; the rest is private to it. A package in a
     package with a stub of its own has names of its own."""
     inside = []
-    for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
-            own = path.relative_to(ROOT).parts[:2]
-            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-                room = (node.module or "").split(".") if isinstance(node, ast.ImportFrom) and not node.level else []
-                door = ROOT.joinpath(*room, "__init__.pyi")
-                if room[:1] == ["agent"] and len(room) > 2 and tuple(room[:2]) != own and not door.exists():
-                    inside.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {node.module}")
+    for path in (path for package in PACKAGES for path in _modules(package)):
+        own = path.relative_to(ROOT).parts[:2]
+        for hit in re.finditer(r"(?m)^ *from (agent\.\w+\.[\w.]+) import", path.read_text("utf-8")):
+            room = hit[1].split(".")
+            if tuple(room[:2]) != own and not ROOT.joinpath(*room, "__init__.pyi").exists():
+                inside.append(f"{path.relative_to(ROOT).as_posix()}: {hit[1]}")
     assert inside == []
 
 
@@ -64,6 +63,7 @@ def test_exported_names_are_used_outside_their_package():
     assert idle == []
 
 
+@cache
 def _offered(package: Path) -> set[str]:
     """Names that a package exports: of its stub where it loads them on first use (mypy checks that they exist)."""
     door, own = max(package.glob("__init__.py*")), ".".join(package.relative_to(ROOT).parts)
@@ -75,9 +75,10 @@ def test_exported_functions_say_what_their_arguments_are():
     """One or two are said in a sentence; more have a line each."""
     silent = []
     for package in [*(ROOT / "agent").glob("*/__init__.py*"), *(ROOT / "agent").rglob("__init__.pyi")]:
-        for path in sorted(package.parent.rglob("*.py")):
-            for node in ast.parse(path.read_text("utf-8")).body:
-                if isinstance(node, ast.FunctionDef) and node.name in _offered(package.parent):
+        offered = _offered(package.parent)
+        for path, tree in _parsed(package.parent, rf"(?m)^def ({'|'.join(offered)})\b") if offered else ():
+            for node in tree.body:
+                if isinstance(node, ast.FunctionDef) and node.name in offered:
                     told = re.search("Args:|Parameters", ast.get_docstring(node) or "")
                     if len(node.args.args) + len(node.args.kwonlyargs) > 2 and not told:
                         silent.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {node.name}")
@@ -93,18 +94,26 @@ def test_no_module_shadows_an_exported_function():
     assert hidden == []
 
 
-def _modules(top: str) -> list[Path]:
+def _modules(top: str | Path) -> list[Path]:
     return sorted((ROOT / top).rglob("*.py"))
+
+
+def _parsed(top: str | Path, having: str) -> Iterator[tuple[Path, ast.Module]]:
+    """Modules whose text has a pattern; parsing all others takes seconds and tells nothing."""
+    for path in _modules(top):
+        text = path.read_text("utf-8")
+        if re.search(having, text):
+            yield path, ast.parse(text)
 
 
 def test_no_import_hides_in_a_string():
     """Where a module is named as text no tool sees the import: registries may, and so may a process that is started."""
     hidden = []
     for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*.py")):
+        for path, tree in _parsed(package, rf"""["']({"|".join(PACKAGES)})\."""):
             if path.name == "registry.py":
                 continue
-            nodes = list(ast.walk(ast.parse(path.read_text("utf-8"))))
+            nodes = list(ast.walk(tree))
             lists = [node.elts for node in nodes if isinstance(node, ast.List | ast.Tuple)]
             started = {id(b) for entries in lists for a, b in pairwise(entries) if getattr(a, "value", None) == "-m"}
             own = ".".join(path.relative_to(ROOT).parent.parts)  # whose data files a module may open
@@ -128,8 +137,8 @@ def test_search_verdict_and_pages_know_no_effect_by_name():
     known = {effect.name for effect in CATALOGUE.built_in} | {type(effect).__name__ for effect in CATALOGUE.built_in}
     found = []
     for room in ("diagnosis", "experiment", "pages", "pipeline", "notebook", "fleet", "cli", "simulators/corrected"):
-        for path in sorted((ROOT / "agent" / room).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        for path, tree in _parsed(f"agent/{room}", rf"\b({'|'.join(known)})\b"):
+            for node in ast.walk(tree):
                 name = getattr(node, "value", None) if isinstance(node, ast.Constant) else getattr(node, "id", None)
                 if isinstance(name, str) and name in known:
                     found.append(f"{path.relative_to(ROOT).as_posix()}:{node.lineno}: {name}")
@@ -155,13 +164,20 @@ def test_locals_are_called_what_they_are():
     vague = []
     for package in PACKAGES:
         for path in _modules(package):
+            tree = ast.parse(path.read_text("utf-8"))
             where = path.relative_to(ROOT).as_posix()
-            for scope in ast.walk(ast.parse(path.read_text("utf-8"))):
+            for scope in ast.walk(tree) if VAGUE & _bound(compile(tree, path, "exec")) else ():
                 if isinstance(scope, ast.Module | ast.Lambda | ast.FunctionDef | ast.AsyncFunctionDef):
                     names = dict(_locals(scope))
                     names.pop("left" if "right" in names else "", None)
                     vague += [f"{where}:{line}: {name}" for name, line in names.items() if name in VAGUE]
     assert vague == []
+
+
+def _bound(code: CodeType) -> set[str]:
+    """Names that a module binds in any scope, and some that it only reads; this is quick."""
+    inner = (const for const in code.co_consts if isinstance(const, CodeType))
+    return {*code.co_names, *code.co_varnames, *code.co_cellvars}.union(*map(_bound, inner))
 
 
 def _locals(scope: ast.AST) -> Iterator[tuple[str, int]]:
