@@ -57,13 +57,13 @@ def test_a_cause_that_leaves_the_models_own_error_explains_what_it_claims(size, 
 def test_a_cause_that_leaves_more_than_a_healthy_arm_does_not(size, over):
     error = over * np.hypot(LARGEST_ERROR, 0.23 * size)
     (why,) = judged((size, 0.0), error=error)
-    assert "what a healthy arm may leave on joint_1" in why or "the model's own parameters" in why
+    assert "what a healthy arm may leave on joint_1" in why
 
 
-def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause():
-    (why,) = judged((5.0, 0.0), by_model=8.0)
-    assert "the model's own parameters" in why
-    assert judged((8.0, 0.0), by_model=5.0) == [""]
+@given(st.floats(2, 20), st.floats(0, 50))
+def test_a_cause_is_not_rejected_for_what_the_model_closes_by_itself(size, by_model):
+    """A model of few motions errs by more than a small effect on others, within its uncertainty."""
+    assert judged((size, 0.0), by_model=by_model) == [""]
 
 
 def test_a_remainder_does_not_count_for_a_cause_that_nothing_smooth_could_replace():

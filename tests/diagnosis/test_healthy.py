@@ -65,6 +65,20 @@ def test_what_the_arm_has_is_no_fault_on_a_faster_motion(plant, model, more, nam
     assert {cause["effect"] for cause in diagnose(plant.robot, [log], model).result["causes"]} == named
 
 
+@pytest.mark.parametrize(("like", "named"), [((1, 2), []), ((2,), ["torque_offset"])])
+def test_what_most_joints_have_is_no_fault_on_one_that_has_not_shown_it(like, named):
+    """Joints whose torque is shifted anew in every log, and a log with a shift of the first joint."""
+    plant = Plant(make_arm("RRR"), seed=3)
+    scatter = np.isin(np.arange(3), like)
+    shifts = {20: 0.0 * scatter, **{k: (k - 22) * OFFSET * scatter for k in (21, 22, 23)}}
+    logs = [record(plant, f"log {k}", k, 0.5) for k in shifts]
+    logs = [replace(log, effort=log.effort + shift) for log, shift in zip(logs, shifts.values(), strict=True)]
+    model = with_healthy_effects(estimate(plant.robot, logs), logs)
+    judged = record(plant, "judged", 31, 0.5)
+    judged = replace(judged, effort=judged.effort + [2 * OFFSET, 0.0, 0.0])
+    assert [cause["effect"] for cause in diagnose(plant.robot, [judged], model).result["causes"]] == named
+
+
 def test_torque_that_the_recorder_of_the_only_log_delays_is_no_fault(plant):
     logs = [changed(record(plant, *motion), 6e-3) for motion in (("only", 21, 0.5), ("new", 31))]
     plain = estimate(plant.robot, logs[:1])

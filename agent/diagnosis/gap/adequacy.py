@@ -82,13 +82,12 @@ def shortfalls(
     error = fit.out_of_fold(fit.transient)
     taken_out = [fit.out_of_fold(fit.transient, number) for number in range(len(causes))]
     own = gap.closure_without(np.sum(taken_out, axis=0) - (len(causes) - 1) * error) or 0.0
-    if fit.given and own < LIMITS.most * gap.closure:
-        return ["the model's own parameters close more of the gap than it does"] * len(causes)
     sizes = remainder_sizes(fit, gap)
     reasons = []
     for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
         joint = _main_joint(fit, gap, candidate, rows)
-        if fit.given and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
+        trades = fit.given and len(causes) > 1
+        if trades and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
             reasons.append("it and another cause cancel each other")
         elif sizes[joint] > 1 and not irreplaceable(number):
             name = fit.reference.robot.joint_names[joint]

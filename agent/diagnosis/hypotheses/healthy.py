@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from statistics import median_low
 
 import numpy as np
 
@@ -72,6 +74,7 @@ class _Shown:
     """What one log, or some together, show of each form: gain (N,), parameters (k,) each, torque (N,) over nominal, and
     root mean square (k,) of the torque over nominal of a unit of each parameter."""
 
+    evidence: Evidence
     gains: np.ndarray
     values: list[np.ndarray]
     torque: np.ndarray
@@ -82,7 +85,12 @@ class _Shown:
         pool = evidence.pool
         gains, values = evidence.shortlist_gains(evidence.nothing)
         torque = [max(pool.torque(k, parameters).values(), default=0.0) for k, parameters in enumerate(values)]
-        return cls(gains, values, np.array(torque), [pool.rms(k) for k in range(pool.size)])
+        return cls(evidence, gains, values, np.array(torque), [pool.rms(k) for k in range(pool.size)])
+
+    @cached_property
+    def hidden(self) -> np.ndarray:
+        """(N,) torque over nominal up to which each form may be there unnoticed."""
+        return np.array(self.evidence.smallest_sizes())
 
 
 def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
@@ -127,22 +135,28 @@ def _effects(
 
     The torque is the mean square over n - 2 of n logs, each explained by its best form: the variance of Student's
     predictive distribution with n degrees of freedom, as few logs say little about how large an effect can become.
+    Drives of an arm follow one law, so a joint that shows nothing may have what most of the other joints have, up to
+    what its logs would have shown.
     """
     total = np.sum([of_log.gains for of_log in shown], axis=0)
     places: dict[HypothesisKey, list[int]] = {}
     for number in np.argsort(-total).tolist():
         if not forms[number].transient:
             places.setdefault(forms[number].place, []).append(number)
-    effects = {}
+    sizes, known = dict[HypothesisKey, float](), set[int]()
     for place, numbers in places.items():
         best = [(of_log, max(numbers, key=lambda k: of_log.gains[k])) for of_log in shown]
         squares = [of_log.torque[k] ** 2 for of_log, k in best if of_log.gains[k] > 0]
-        if not squares:
-            continue
-        size = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
+        sizes[place] = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
+        known.update(numbers[:1] if squares and total[numbers[0]] > 0 else [])
+    effects = {}
+    for place, numbers in places.items():
+        size = sizes[place]
+        if not size and (size := median_low(other for (name, _), other in sizes.items() if name == place[0])):
+            size = min(size, *(float(of_log.hidden[numbers].min()) for of_log in shown))
         kinds = {tuple(sorted(forms[k].settings)): k for k in reversed(numbers)}.values()
-        first = numbers[0] if total[numbers[0]] > 0 else None
-        effects[place] = size, [_entry(forms[k], k, shown, size, names, k == first) for k in kinds]
+        if size > 0:
+            effects[place] = size, [_entry(forms[k], k, shown, size, names, k in known) for k in kinds]
     return effects
 
 
