@@ -402,6 +402,18 @@ def test_torque_that_a_rigid_arm_explains_in_part_is_not_refused(healthy):
     assert "do not belong together" in found.text
 
 
+@pytest.mark.parametrize(
+    ("arm", "joint", "stiffness"), [("RRR", 0, 10.0), ("RRR", 2, 10.0), ("PRR", 2, 30.0), ("ur5e", 0, 15.0)]
+)
+def test_a_stiff_hose_passes_for_no_mistake(arm, joint, stiffness):
+    """Were no spring tried, tilted gravity, flipped or swapped joints would explain more of these."""
+    robot = load_robot(arm) if arm == "ur5e" else make_arm(arm)
+    hose = {"stiffness": stiffness, "centre": 0.3}
+    effect = {"effect": "dress_pack", "joints": [robot.joint_names[joint]], "parameters": hose}
+    log = record(Plant(robot, seed=3, effects=[effect]), "hose", 21, 0.4)
+    assert not plausibility_warnings(robot, [log])
+
+
 def test_a_model_refuses_logs_of_another_robot_whose_joints_have_the_same_names(capsys):
     ur5e, ur10e = load_robot("ur5e"), load_robot("ur10e")
     model = estimate(ur5e, [record(Plant(ur5e, seed=3), name, seed) for name, seed in (("one", 11), ("two", 12))])
