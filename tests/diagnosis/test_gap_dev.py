@@ -85,7 +85,8 @@ def test_sizes_match_the_key(diagnosed, answers):
     assert delay == pytest.approx(answers["case_04"][0]["delay"], abs=4e-4)
 
 
-@pytest.mark.parametrize("case", [2, *(pytest.param(case, marks=pytest.mark.verify) for case in (1, 3, 4))])
+@pytest.mark.verify
+@pytest.mark.parametrize("case", [1, 2, 3, 4])
 def test_a_withheld_effect_is_not_replaced_by_a_confident_wrong_name(arm, baseline, runs, answers, case):
     (truth,) = answers[f"case_{case:02d}"]
     result = diagnose(arm, runs(case), baseline, without=[truth["id"]]).result

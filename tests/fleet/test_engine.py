@@ -20,7 +20,7 @@ from agent.fleet import make_question, run_fleet
 from agent.motion import Pdl2Settings, ViaRegions
 from agent.robot import load_robot
 from tests.conftest import end_with_tests, patience
-from tests.fleet.conftest import DaskProcesses, estimate, rows_of
+from tests.fleet.conftest import DaskProcesses, a_run_each, estimate, rows_of
 
 
 def _answers(engine, tasks: int, disturb=lambda done: None) -> list[tuple[int, int]]:
@@ -49,17 +49,19 @@ def test_a_killed_worker_does_not_change_the_rows(plant: Path, estimated: Path, 
 
     class Killing(Console):
         def progress(self, text: str, done: float | None = None) -> None:
-            if text.startswith("3 of"):
+            if text.startswith("2 of"):
                 killed.append(random.Random(1).choice(sorted(engine._client.run(os.getpid).values())))
                 os.kill(killed[0], signal.SIGKILL)
 
-    engine = DaskEngine(workers=2)
-    run_fleet(str(plant), make_question("estimate", None, None), str(tmp_path), lambda _: engine, Killing(-1))
+    engine, here, out = DaskEngine(workers=2), a_run_each(plant, tmp_path / "plant"), tmp_path / "out"
+    run_fleet(str(here), make_question("estimate", None, None), str(out), lambda _: engine, Killing(-1))
     assert killed
-    assert rows_of(tmp_path) == rows_of(estimated)
-    names = {row["model"] for row in rows_of(tmp_path)} - {None}
-    assert names == {f"_models/{path.name}" for path in (tmp_path / "_models").iterdir()}
-    assert not any((tmp_path / "_done").iterdir())
+    rows = {row["run"]: row for row in rows_of(out)}
+    assert rows == {row["run"]: row for row in rows_of(estimated) if row["run"] in rows}
+    assert len(rows) == 5
+    names = {row["model"] for row in rows.values()} - {None}
+    assert names == {f"_models/{path.name}" for path in (out / "_models").iterdir()}
+    assert not any((out / "_done").iterdir())
 
 
 def test_removes_the_temporary_files_of_a_killed_process(tmp_path: Path, monkeypatch):
@@ -112,15 +114,17 @@ def test_a_killed_scheduler_ends_the_run_with_the_command_to_continue(cluster: D
 def test_a_run_that_is_ended_is_continued_by_the_same_command(plant: Path, estimated: Path, tmp_path: Path):
     class Ending(Console):
         def progress(self, text: str, done: float | None = None) -> None:
-            if text.startswith("5 of"):
+            if text.startswith("2 of"):
                 raise KeyboardInterrupt
 
+    here, out = a_run_each(plant, tmp_path / "plant"), tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
-        estimate(plant, tmp_path, Ending(-1))
-    assert not (tmp_path / "rows.parquet").exists(), "nothing is in place before all of it is"
-    summary = estimate(plant, tmp_path)
-    assert (summary.done, summary.kept) == (4, 5)
-    assert rows_of(tmp_path) == rows_of(estimated)
+        estimate(here, out, Ending(-1))
+    assert not (out / "rows.parquet").exists(), "nothing is in place before all of it is"
+    summary = estimate(here, out)
+    assert (summary.done, summary.kept) == (3, 2)
+    rows = {row["run"]: row for row in rows_of(out)}
+    assert rows == {row["run"]: row for row in rows_of(estimated) if row["run"] in rows}
 
 
 def test_an_unreachable_scheduler_is_a_usage_error(monkeypatch):

@@ -39,8 +39,10 @@ def test_machines_are_sorted_by_urgency_with_the_reason(command, tmp_path: Path)
 
 def test_a_failed_run_is_listed_as_a_reason_and_run_pages_are_linked(command, plant, estimated, tmp_path: Path):
     here, out = tmp_path / "plant", tmp_path / "result"
-    for robot in ("robot_0000", "robot_0003"):
-        shutil.copytree(plant / robot, here / robot)
+    shutil.copytree(plant / "robot_0000", here / "robot_0000")
+    shutil.copytree(plant / "robot_0003" / "bad", here / "robot_0003" / "bad")
+    for description in ("robot.yaml", "robot.urdf"):
+        shutil.copy(plant / "robot_0003" / description, here / "robot_0003")
     shutil.copytree(plant / "robot_0003" / "bad", here / "robot_0007" / "bad")  # and no run with figures
     (page_of,) = [path for path in sorted((here / "robot_0000").iterdir()) if path.is_dir()][:1]
     (page_of / "report.html").write_text("<p>the run</p>", encoding="utf-8")

@@ -69,7 +69,7 @@ def _bristles(position: np.ndarray, level: float, stiffness: float) -> np.ndarra
     return torque
 
 
-@pytest.mark.parametrize("level", [3.0, 8.0])
+@pytest.mark.parametrize("level", [pytest.param(3.0, marks=pytest.mark.verify), 8.0])
 def test_names_friction_with_a_longer_reversal_distance(arm, model, healthy, level):
     """A large one leaves a tenth of the gap, as its bristles are not those of the form; nothing smooth makes them."""
     travel = 4e-3  # rad over which the friction that is there before reverses
@@ -167,6 +167,7 @@ def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(ar
             lambda q: 10 + 0.6 * (q - 0.4) + 0.5 * dahl(q, np.array([0.1]))[:, 0],
             *(["dress_pack"], set(), "explained"),
             id="and a large constant",
+            marks=pytest.mark.verify,
         ),
         pytest.param(
             lambda q: 0.4 + 0.3 * _slide(q),
