@@ -23,8 +23,6 @@ _POOL, _NEIGHBOURS = 240, 12
 _WAYS = 0.15
 #: A pair is asked about where all pieces together make the right answer likelier than this.
 WITHIN_REACH = 0.3
-#: Smallest rise of the expected value for a further piece.
-_LEAST_IMPROVEMENT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +171,7 @@ def _greedy(scorer: ExperimentScorer, pool: Sequence[Weighed], seconds: float, a
             break
         worth = [_utility(scorer, [*chosen, entry], asked) for entry in options]
         best = int(np.argmax(worth))
-        if worth[best] - now < _LEAST_IMPROVEMENT:
+        if worth[best] <= now:
             break
         chosen, now = [*chosen, options[best]], worth[best]
         if scorer.chances(_sum(scorer, chosen))[asked].min() > LAW.certain:

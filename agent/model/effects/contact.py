@@ -31,8 +31,8 @@ _ALONE = 2.0  # factor over the window at the same phase of another cycle
 _LEAST_GAIN_RATIO = 0.02  # least gain over that of the strongest push
 _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # numerical: steps by which each end moves in the fit; steps per duration
-_PARTS = np.linspace(0.13, 0.7, 10)  # numerical: starts of the parts that are checked for a pause, per duration
-_PART = 1 / 6  # their length
+#: numerical: starts of the parts that are checked for a pause, per duration: as long as an edge, between the edges
+_PARTS = np.linspace(_EDGE, 1 - 2 * _EDGE, 10)
 _PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
 _UNKNOWN = -1  # numerical: whether a window has a pause
 _LOOK = 16  # numerical: windows that are looked at for a pause together, the strongest first
@@ -187,13 +187,13 @@ class _Sums:
     def whole(self, starts: np.ndarray, duration: float, gain: np.ndarray, force: np.ndarray) -> np.ndarray:
         """(K,) bool: which forces (K, 3) [N] from `starts` for `duration` [s] pull in the middle of it as well, as far
         as they would show there: else there are two with a pause between."""
-        if duration * _PART < _DURATIONS[0] / 2:
+        if duration * _EDGE < _DURATIONS[0] / 2:
             return np.ones(len(starts), dtype=bool)
         begin = starts + _PARTS[:, None] * duration  # (P, K)
-        moments, pull = self.between(begin, begin + _PART * duration)
+        moments, pull = self.between(begin, begin + _EDGE * duration)
         expected = np.einsum("pkab,ka,kb->pk", moments, force, force)
         missing = expected - np.einsum("pka,ka->pk", pull, force)
-        return np.all(missing <= _PAUSE * expected + _SHOWS * _PART * gain, axis=0)
+        return np.all(missing <= _PAUSE * expected + _SHOWS * _EDGE * gain, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
