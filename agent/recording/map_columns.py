@@ -298,8 +298,8 @@ class Source:
             self.mapping.fault(
                 f"{key}.columns", f"the joints are {', '.join(joints)}, but {of}; write them in that order"
             )
-        if what := contradiction(titles, self._titles.get("position", titles), "position"):
-            self.mapping.fault(f"{key}.columns", f"the columns {what}; name those of the same joints")
+        if differ := contradiction(titles, self._titles.get("position", titles), "position"):
+            self.mapping.fault(f"{key}.columns", f"the columns {differ}; name those of the same joints")
         self._titles[key] = titles
         files = [table.path.name for table, _ in located]
         titles = titles if len({*files}) == 1 else [f"{a} of {b}" for a, b in zip(titles, files, strict=True)]
