@@ -81,8 +81,14 @@ class Prediction:
 
     @property
     def error(self) -> np.ndarray:
-        """(S, n) [N·m]."""
-        return self.measured - self.predicted
+        """(S, n) [N·m]; zero where a brake holds a joint, as no measured torque says with what."""
+        return np.where(self.braked, 0.0, self.measured - self.predicted)
+
+    @property
+    def braked(self) -> np.ndarray:
+        """(S, n) bool: where a brake holds a joint."""
+        each = ((motion.braked, len(motion.time[motion.kept])) for motion in self._motions)
+        return np.concatenate([np.broadcast_to(braked, (samples, len(braked))) for braked, samples in each])
 
     @property
     def position(self) -> np.ndarray:
@@ -101,8 +107,7 @@ class Prediction:
 
     def rmse(self, moving: bool = False) -> np.ndarray:
         """(n,) [N·m]; `moving`: of samples where the arm moves."""
-        error = self.error[self.moving] if moving else self.error
-        return np.sqrt(np.mean(error**2, axis=0))
+        return _rmse(self.error, self.braked, self.moving if moving else slice(None))
 
     @cached_property
     def half_width(self) -> np.ndarray:
@@ -145,8 +150,15 @@ def filtered_columns(model: IdentifiedModel, motion: Motion) -> np.ndarray:
 
 def pooled_rmse(predictions: Sequence[Prediction]) -> np.ndarray:
     """(n,) RMSE [N·m] over the moving samples of all motions."""
-    error = np.concatenate([p.error[p.moving] for p in predictions])
-    return np.sqrt(np.mean(error**2, axis=0))
+    error, braked, moving = (
+        np.concatenate([getattr(p, key) for p in predictions]) for key in ("error", "braked", "moving")
+    )
+    return _rmse(error, braked, moving)
+
+
+def _rmse(error: np.ndarray, braked: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
+    """(n,) of the rows of errors (S, n) in which no brake holds the joint; 0 where one always does."""
+    return np.sqrt(np.sum(error[rows] ** 2, axis=0) / np.maximum(np.sum(~braked[rows], axis=0), 1))
 
 
 def predict_log(model: IdentifiedModel, log: Log, cutoff: float | None = None) -> Prediction:
@@ -261,12 +273,8 @@ def validate(model: IdentifiedModel, logs: Sequence[Log], cutoff: float | None =
 def summary(predictions: Sequence[Prediction]) -> Validation:
     """The same from predictions at hand (at least one)."""
     model = predictions[0].model
-    everything = _figures(
-        model,
-        np.concatenate([p.measured for p in predictions]),
-        np.concatenate([p.error for p in predictions]),
-    )
-    logs = [LogErrors(**_figures(model, p.measured, p.error), log=p.log, samples=len(p.time)) for p in predictions]
+    everything = _figures(model, predictions)
+    logs = [LogErrors(**_figures(model, [p]), log=p.log, samples=len(p.time)) for p in predictions]
     return Validation(
         model.robot.joint_names,
         torque_units(model.robot),
@@ -276,8 +284,11 @@ def summary(predictions: Sequence[Prediction]) -> Validation:
     )
 
 
-def _figures(model: IdentifiedModel, measured: np.ndarray, error: np.ndarray) -> dict[str, Any]:
-    rmse = np.sqrt(np.mean(error**2, axis=0))
+def _figures(model: IdentifiedModel, predictions: Sequence[Prediction]) -> dict[str, Any]:
+    error, braked, measured = (
+        np.concatenate([getattr(p, key) for p in predictions]) for key in ("error", "braked", "measured")
+    )
+    rmse = _rmse(error, braked, slice(None))
     length = np.linalg.norm(measured, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.linalg.norm(error, axis=0) / length

@@ -67,6 +67,19 @@ def test_figures_are_computed_from_filtered_signals(case):
     assert entry.relative_error_all_joints == pytest.approx(np.linalg.norm(error) / np.linalg.norm(measured))
 
 
+def test_the_torque_of_a_joint_that_its_brake_holds_is_no_error(case):
+    """It is reported as zero; the arm's weight rests on the brake."""
+    _, model, (moving, resting) = case
+    position = resting.position.copy()
+    position[:, 1] = 0.5
+    parked = on_joint(replace(resting, position=position, velocity=None), 1, lambda torque: 0 * torque)
+    driven = on_joint(parked, 1, lambda torque: torque + 1e-3 * np.sin(np.arange(len(torque))))
+    assert validate(model, [driven]).overall.rmse[1] > 100
+    entry = validate(model, [parked]).overall
+    assert (entry.rmse[1], entry.relative_error[1]) == (0.0, None)
+    assert validate(model, [moving, parked]).overall.rmse[1] == pytest.approx(validate(model, [moving]).overall.rmse[1])
+
+
 def test_every_sample_but_the_edges_counts_and_logs_are_pooled(case):
     _, model, logs = case
     result = validate(model, logs)
