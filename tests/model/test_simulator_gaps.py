@@ -242,6 +242,38 @@ def test_with_free_link_masses_a_torque_scale_may_belong_to_the_next_joint(tmp_p
     assert (result["verdict"], ("torque_constant", "lift") in members) == ("ambiguous", True)
 
 
+def upright(upper: float) -> str:
+    """A URDF of a turning column, an upper arm of this mass and a forearm, with friction."""
+    limit = '<dynamics damping="5" friction="3"/><limit lower="-2" upper="2" velocity="3" effort="100"/>'
+    parts, parent = ['<robot name="upright"><link name="base"/>'], "base"
+    for name, mass, centre, inertia, origin, axis in (
+        ("pan", 4.0, "0 0.01 0.05", 0.02, "0 0 0.2", "0 0 1"),
+        ("lift", upper, "0 0.02 0.18", 0.07, "0 0 0.1", "0 1 0"),
+        ("bend", 2.5, "0 0 0.14", 0.03, "0 0 0.4", "0 1 0"),
+    ):
+        moments = f'ixx="{inertia}" iyy="{inertia}" izz="{inertia / 4}" ixy="0" ixz="0" iyz="0"'
+        parts.append(
+            f'<link name="{name}_link"><inertial><origin xyz="{centre}"/><mass value="{mass}"/><inertia {moments}/>'
+            f'</inertial></link><joint name="{name}" type="revolute"><parent link="{parent}"/>'
+            f'<child link="{name}_link"/><origin xyz="{origin}"/><axis xyz="{axis}"/>{limit}</joint>'
+        )
+        parent = f"{name}_link"
+    return "".join([*parts, "</robot>"])
+
+
+def test_one_link_too_heavy_in_the_file_is_that_link(tmp_path):
+    """Though numbers of the link further out explain all but a hundredth of it."""
+    names = ("pan", "lift", "bend")
+    model = load_simulator(written(tmp_path, upright(7.5), "heavy.urdf"), None, names).model
+    robot = load_simulator(written(tmp_path, upright(5.0), "right.urdf"), None, names).model
+    logs = [read_log(recorded(tmp_path / f"{k}.mcap", robot, k), model.robot) for k in (1, 2)]
+    found = diagnose(model.robot, logs, model)
+    assert [step["step"] for step in found.result["waterfall"]] == ["link inertia of lift", "remainder"]
+    (cause,) = found.result["causes"]
+    assert cause["effect"] == "inertial_mismatch"
+    assert next(iter(cause["parameters"].items())) == ("mz2", pytest.approx(-0.45, rel=0.03))
+
+
 def test_sharp_simulator_friction_is_not_explained_by_a_delay(tmp_path, robot):
     """An effects file could not say it: there torque is late, friction and all."""
     model = load_simulator(tmp_path / "arm.urdf", None, ("pan", "lift")).model

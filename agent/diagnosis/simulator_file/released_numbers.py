@@ -106,6 +106,11 @@ def release(
         best = next(k for k, gain in enumerate(gains) if LIMITS.alike * gain >= max(gains))
         chosen.append(pool.pop(best))
         fit = tried[best]
+        for group in chosen[:-1]:  # what was taken for it before may be needed no more, as a link further out
+            others = [other for other in chosen if other is not group]
+            without = released_fit(dataset, others).with_chosen(beside)
+            if without.error(without.transient) - fit.error(fit.transient) < least:
+                chosen, fit = others, without
     return _moved(dataset, chosen)
 
 
@@ -374,6 +379,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
             bodies.append(group)
     if bodies:
         known = np.abs(change[:base]) > LIMITS.deviations * model.standard_deviations[:base]
-        parameters = {model.names[k]: float(change[k]) for k in np.flatnonzero(known)}
+        torque = change[:base] ** 2 * np.diagonal(found.given.fit.gram.sum(axis=0))[:base]  # what makes most is first
+        parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
         causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
