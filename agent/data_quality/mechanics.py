@@ -33,6 +33,7 @@ _ONE_WAY = 0.02  # of the time in motion that a joint goes the other way: less t
 _LENGTHS = (0.8, 1.25, 0.65, 0.7, 0.75, 0.85, 0.9, 1.1, 1.15, 1.2, 1.35, 1.5)  # times the described: the first two test
 _LENGTH_GAIN = 0.2  # of a length that is named: of six real arms and simulated ones the right lengths gain 0.06 at most
 _UNISON = 0.98  # correlation of two joints beyond which they cannot be distinguished
+_TURNS = (0.5 * np.pi, -0.5 * np.pi, np.pi)  # by which the zeros of two tables of one joint differ
 _TILT = np.radians(3.0)  # of gravity from the described direction: a smaller one is within what descriptions leave open
 
 
@@ -180,8 +181,8 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
         return RigidFit(Dynamics(replace(robot, gravity=gravity)), s, plain.precision)
 
     for k in np.flatnonzero(turning).tolist():
-        for angle in (90.0, -90.0):
-            offset = np.where(given == k, np.radians(angle), 0.0)
+        for angle in _TURNS:
+            offset = np.where(given == k, angle, 0.0)
             yield _Mistake(_zeros_text(robot, offset), _with_zeros(plain, offset), torque, (k,), True)
     for gravity in (*gravity_axes(robot), *_tilted(plain)):
         yield _Mistake(gravity_text(robot, gravity), under(gravity), torque, everyone)
@@ -215,7 +216,8 @@ def _zeros_text(robot: RobotDescription, offset: np.ndarray) -> str:
     off = [robot.joint_names[k] for k in np.flatnonzero(offset)]
     whose = f"the zero of {off[0]} looks" if len(off) == 1 else f"the zeros of {' and '.join(off)} look"
     values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
-    return f"{whose} 90° off: import with `position: {{offset: [{values}]}}`"
+    sizes = " and ".join(f"{abs(turn):g}°" for turn in dict.fromkeys(np.abs(np.degrees(offset[offset != 0]))))
+    return f"{whose} {sizes} off: import with `position: {{offset: [{values}]}}`"
 
 
 def _tilted(plain: RigidFit) -> Iterator[tuple[float, float, float]]:
@@ -297,11 +299,14 @@ def wrong_lengths(of: Recordings) -> Iterator[QualityFinding]:
 
 
 def _best_zeros(plain: RigidFit) -> tuple[float, float, np.ndarray]:
-    """Gain of the zeros of one or two joints that explain most, its standard error, and what to add (n,) [rad]."""
+    """Gain of the zeros of one or two joints that explain most, its standard error, and what to add (n,) [rad]; of two
+    only where one explains less."""
     torque = plain.samples.torque
     before, offsets = plain.errors(torque), [*_quarter_turns(plain.robot)]
     gains = [_gain(before, _with_zeros(plain, offset).errors(torque)) for offset in offsets]
-    best = max(range(len(gains)), key=lambda k: gains[k][0])
+    single = [k for k, offset in enumerate(offsets) if np.count_nonzero(offset) == 1]
+    best, of_one = (max(some, key=lambda k: gains[k][0]) for some in (range(len(gains)), single))
+    best = of_one if gains[best][0] - gains[of_one][0] < gains[best][1] else best
     return *gains[best], offsets[best]
 
 
@@ -309,7 +314,7 @@ def _quarter_turns(robot: RobotDescription) -> Iterator[np.ndarray]:
     """(n,) [rad] of one turning joint, or of two."""
     turning = [k for k, joint in enumerate(robot.joints) if not joint.prismatic]
     for count in (1, 2):
-        for some, angles in product(combinations(turning, count), product((0.5 * np.pi, -0.5 * np.pi), repeat=count)):
+        for some, angles in product(combinations(turning, count), product(_TURNS, repeat=count)):
             offset = np.zeros(robot.dof)
             offset[list(some)] = angles
             yield offset

@@ -438,13 +438,13 @@ def test_postures_are_no_motion(robot, velocity):
     assert "record a motion through them" in found.advice
 
 
-@pytest.mark.parametrize(("joint", "angle"), [(1, 90.0), (1, -90.0)])
+@pytest.mark.parametrize(("joint", "angle"), [(1, 90.0), (1, -90.0), (1, 180.0), (2, 180.0)])
 def test_a_zero_of_another_table_is_named(robot, joint, angle):
     log = motion(robot, 25)
     away = np.where(np.arange(4) == joint, np.radians(angle), 0.0)
     (found,) = refusals(robot, replace(log, position=log.position + away))
-    assert f"the zero of joint_{joint + 1} looks 90° off" in found.text
-    assert f"{-angle:g} deg" in found.text
+    assert f"the zero of joint_{joint + 1} looks {abs(angle):g}° off" in found.text
+    assert f"{180 if angle == 180 else -angle:g} deg" in found.text
 
 
 def test_a_parked_joint_without_torque_leaves_the_others(robot):
