@@ -21,7 +21,7 @@ _JUMPS = 0.01  # of the samples; fewer are repaired by the reader
 _ROUGH = 0.5  # of a step, by which it differs from the one before: a motion that is only too fast differs less
 _SLOWEST_RATE = 2.0  # Hz; a cut-off follows from it that no motion of an arm stays below
 _STILL, _POSTURES = 0.1, 0.5  # of the way to the next row by its velocity: it stands; part of the rows that do
-_RUN = 4  # equal samples in a row
+_RUN = 4  # equal samples in a row, or jumps from posture to posture
 _STEPS = 3  # of the resolution that a torque jumps by where it was held
 _HELD = 0.02  # of the samples in such runs, from where on it is said
 _ZERO = 0.1  # of a torque's root mean square, to which it returns after a dropout
@@ -33,6 +33,8 @@ _OFTEN = 3  # times as many samples at the largest torque, or at zero, as at any
 def discontinuous_positions(of: Recordings) -> Iterator[QualityFinding]:
     """Positions that go to and fro by more than the arm can move: two motions in one topic, or rows out of order."""
     for log in of.logs:
+        if len(_between_postures(log)):
+            continue
         step, time = np.diff(log.position, axis=0), np.diff(log.t)[:, None]
         jumps = np.abs(step) > of.robot.max_velocity * (_TIMES * time + _LATE)
         back = jumps[1:] & (np.abs(np.diff(step, axis=0)) > _ROUGH * np.abs(step[1:]))
@@ -77,24 +79,32 @@ def _second_motion(log: Log, robot: RobotDescription) -> np.ndarray | None:
 
 
 def static_postures(of: Recordings) -> Iterator[QualityFinding]:
-    """Rows that are postures at standstill, each recorded once: no motion can be derived from them."""
+    """Rows that are postures at standstill, each recorded once or several times: no motion can be derived from them."""
     for log in of.logs:
         step = np.abs(np.diff(log.position, axis=0))
-        apart = step.max(axis=1) > MOVING
-        slow = log.sample_rate < _SLOWEST_RATE
-        if log.velocity is not None and not slow:
+        apart, slow = step.max(axis=1) > MOVING, log.sample_rate < _SLOWEST_RATE
+        if not len(jumps := _between_postures(log)) and log.velocity is not None and not slow:
             if any(_velocity_ratio(log, joint) is not None for joint in range(of.robot.dof)):
                 continue  # a motion whose velocity is in another unit
             speed = np.maximum(np.abs(log.velocity[1:]), np.abs(log.velocity[:-1])) * np.diff(log.t)[:, None]
             apart &= np.all(speed < _STILL * step.max(axis=1, keepdims=True), axis=1)
-        elif not slow:
+        elif not len(jumps) and not slow:
             continue
-        if np.mean(apart) > _POSTURES:
-            where = f"{log.name}: " if len(of.logs) > 1 else ""
-            text = f"{where}these are {len(log.t)} postures at standstill, {1 / log.sample_rate:.3g} s apart, and no"
+        if len(jumps) or np.mean(apart) > _POSTURES:
+            where, count = f"{log.name}: " if len(of.logs) > 1 else "", len(jumps) + 1 if len(jumps) else len(log.t)
+            text = f"{where}these are {count} postures at standstill, {np.ptp(log.t) / (count - 1):.3g} s apart, and no"
             text += " motion: nothing says how the arm went from one to the next"
             advice = "record a motion through them at 50 Hz or more; the arm may stop at each"
             yield QualityFinding(text, of.robot.joint_names, 1.0, advice)
+
+
+def _between_postures(log: Log) -> np.ndarray:
+    """Rows after which an arm that stands is at another place, where it stands again; empty for a motion."""
+    step = np.abs(np.diff(log.position, axis=0))
+    far, way = step.max(axis=1) > MOVING, step.sum(axis=1)
+    jumps = np.flatnonzero(far & ~np.append(False, far[:-1]) & ~np.append(far[1:], False))
+    is_motion = len(jumps) < _RUN or (way.sum() - way[jumps].sum()) > _STILL * way[jumps].sum()
+    return jumps[:0] if is_motion else jumps
 
 
 def dead_channels(of: Recordings) -> Iterator[QualityFinding]:

@@ -434,8 +434,18 @@ def test_postures_are_no_motion(robot, velocity):
     log = _log(robot, np.arange(300) / rate, q, np.cos(q))
     log = replace(log, velocity=None if velocity is None else velocity + 0 * q)
     (found,) = refusals(robot, log)
-    assert found.text.startswith("these are 300 postures at standstill")
+    assert found.text.startswith("these are 300 postures at standstill, ")
     assert "record a motion through them" in found.advice
+
+
+@pytest.mark.parametrize("velocity", [0.0, None])
+@pytest.mark.parametrize("rows", [5, 50])
+def test_postures_of_several_rows_are_no_motion(robot, velocity, rows):
+    rng = np.random.default_rng(2)
+    q = rng.uniform(-1, 1, (60, 4)).repeat(rows, axis=0) + rng.normal(0, 1e-4, (60 * rows, 4))
+    log = _log(robot, np.arange(60 * rows) / (2.5 * rows), q, np.cos(q))
+    log = replace(log, velocity=None if velocity is None else velocity + 0 * q)
+    assert "these are 60 postures at standstill, 0.4" in " ".join(found.text for found in refusals(robot, log))
 
 
 @pytest.mark.parametrize(("joint", "angle"), [(1, 90.0), (1, -90.0), (1, 180.0), (2, 180.0)])
