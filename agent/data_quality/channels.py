@@ -99,7 +99,7 @@ def static_postures(of: Recordings) -> Iterator[QualityFinding]:
 
 
 def _between_postures(log: Log) -> np.ndarray:
-    """Rows after which an arm that stands is at another place, where it stands again; empty for a motion."""
+    """Rows after which a stationary arm has moved elsewhere and is stationary again; empty for a motion."""
     step = np.abs(np.diff(log.position, axis=0))
     far, way = step.max(axis=1) > MOVING, step.sum(axis=1)
     jumps = np.flatnonzero(far & ~np.append(False, far[:-1]) & ~np.append(far[1:], False))

@@ -119,8 +119,8 @@ def _refuted(of: Recordings) -> bool:
 def _likeliest(plain: RigidFit, pushing: np.ndarray, driven_on: np.ndarray) -> QualityFinding | None:
     """The mistake that explains clearly more of what is held out than the log as it is; None where none does.
 
-    Where joints are driven on, it is one that is about one of them, and undoing it drives none on. None is named where a
-    spring at a joint explains as much: a stiff hose would pass for gravity that is tilted, or for another zero.
+    Where joints are driven on, it is one that is about one of them, and undoing it drives none on. None is named where
+    a spring at a joint explains as much: a stiff hose would pass for gravity that is tilted, or for another zero.
     """
     torque, robot = plain.samples.torque, plain.robot
     before = plain.errors(torque)
@@ -216,7 +216,7 @@ def _zeros_text(robot: RobotDescription, offset: np.ndarray) -> str:
     off = [robot.joint_names[k] for k in np.flatnonzero(offset)]
     whose = f"the zero of {off[0]} looks" if len(off) == 1 else f"the zeros of {' and '.join(off)} look"
     values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
-    sizes = " and ".join(f"{abs(turn):g}°" for turn in dict.fromkeys(np.abs(np.degrees(offset[offset != 0]))))
+    sizes = " and ".join(f"{abs(angle):g}°" for angle in dict.fromkeys(np.abs(np.degrees(offset[offset != 0]))))
     return f"{whose} {sizes} off: import with `position: {{offset: [{values}]}}`"
 
 
