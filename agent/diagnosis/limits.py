@@ -72,8 +72,8 @@ class DecisionLimits:
     most: float = known(
         0.5,
         "part",
-        "that counts as most: of the energy where a torque channel stands still, of the effects that logs have to show "
-        "before nothing changed, of the largest gap of a joint",
+        "that counts as most: of the energy where a torque channel stands still, of the closure that causes close "
+        "themselves, of the effects that logs have to show before nothing changed, of the largest gap of a joint",
         "chosen: half",
     )
     path_gap: float = known(1e-4, "rad or m, RMS", "between planned and executed path that is notable", "chosen")

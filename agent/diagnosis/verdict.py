@@ -20,7 +20,7 @@ from math import isfinite
 import numpy as np
 
 from agent.diagnosis.document import Cause, EffectPlace
-from agent.diagnosis.gap.adequacy import shortfalls
+from agent.diagnosis.gap.adequacy import closed_alone, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
@@ -134,16 +134,17 @@ def supported(
 ) -> tuple[SelectedCauses, HeldOutGap]:
     """Return the named causes that held-out figures support, and these figures; `unit` is that of `held_out_gap`.
 
-    If the causes close less than `explained` needs, another cause may exist: the likeliest one is named with the first.
-    Causes that leave more than a healthy arm leaves are no explanation (`shortfalls`); the others are judged again
-    without them. If nothing else is left, the causes explained at most the model's own error, unless the gap exceeds
-    that by far.
+    If the causes close less than `explained` needs, or the change of the model's own parameters closes more than they
+    do, another cause may exist: the likeliest one is named with the first. Causes that leave more than a healthy arm
+    leaves are no explanation (`shortfalls`); the others are judged again without them. If nothing else is left, the
+    causes explained at most the model's own error, unless the gap exceeds that by far.
     """
     while True:
         gap = held_out_gap(dataset, selected.fit, unit)
         if not selected.causes:
             return selected, gap
-        if not selected.rivals[0] and (gap.closure or 0.0) < LIMITS.explained:
+        closed, alone = gap.closure or 0.0, closed_alone(selected.fit, gap, len(selected.causes))
+        if not selected.rivals[0] and (closed < LIMITS.explained or alone < LIMITS.most * closed):
             selected = selected.with_runner_up()
         causes = causes_of(dataset, selected, gap)
         lacking = shortfalls(selected.fit, gap, selected.causes, selected.irreplaceable)

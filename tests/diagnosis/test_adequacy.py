@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.diagnosis.gap.adequacy import LARGEST_ERROR, remainder_sizes, remainders, shortfalls
+from agent.diagnosis.gap.adequacy import LARGEST_ERROR, closed_alone, remainder_sizes, remainders, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.rows.dataset import assemble
@@ -58,6 +58,19 @@ def test_a_cause_that_leaves_more_than_a_healthy_arm_does_not(size, over):
     error = over * np.hypot(LARGEST_ERROR, 0.23 * size)
     (why,) = judged((size, 0.0), error=error)
     assert "what a healthy arm may leave on joint_1" in why
+
+
+@given(st.floats(3, 30), st.floats(0, 2))
+def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause(size, ratio):
+    """Of effect and change of the model, the effect closes its part of the energy."""
+    torque, by_model = LONG[:, 1] * [size, 0.0], LONG[:, 2] * [ratio * size, 0.0]
+    left = LONG[:, 0] * [1e-3, 1e-3]
+    rows = left + torque + by_model
+    gap = HeldOutGap(rows, left, np.zeros(rows.shape), np.ones(2), rms(rows), rms(left), None)
+    fit = SimpleNamespace(
+        transient=False, given=True, out_of_fold=lambda once, number=None: left if number is None else left + torque
+    )
+    assert closed_alone(fit, gap, 1) == pytest.approx(1 / (1 + ratio**2), abs=0.1)
 
 
 @given(st.floats(2, 20), st.floats(0, 50))

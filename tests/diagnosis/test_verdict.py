@@ -163,10 +163,10 @@ def candidate_of(name, *joints, **more):
     return SimpleNamespace(place=(name, joints), effect=CATALOGUE[name], **more)
 
 
-def judged_by(selected, gap_of, told, failing=()):
+def judged_by(selected, gap_of, told, failing=(), own=1.0):
     """A finding as it is supported, and the verdict, where fits have these gaps, and findings these causes.
 
-    Causes at `failing` joints do not explain what they claim.
+    Causes at `failing` joints do not explain what they claim; `own` is their part of what they close with the model.
     """
     dataset, unit, gaps = SimpleNamespace(), np.ones(JOINTS), []
 
@@ -183,7 +183,10 @@ def judged_by(selected, gap_of, told, failing=()):
         assert gap is gaps[-1]
         return ["it leaves too much" if set(failing) & set(cause.place[1]) else "" for cause in chosen]
 
-    patches = {"held_out_gap": made, "causes_of": told_of, "shortfalls": lacking}
+    def alone(fit, gap, count):
+        return own * (gap.closure or 0.0)
+
+    patches = {"held_out_gap": made, "causes_of": told_of, "shortfalls": lacking, "closed_alone": alone}
     with patch.multiple(rules, **patches):
         judged, gap = supported(dataset, selected, unit)  # type: ignore[arg-type]
     assert gap is gaps[-1]
@@ -259,6 +262,9 @@ def test_causes_that_close_too_little_are_named_with_the_runner_up():
         judged, decided = judged_by(selected, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
         assert decided.name == verdict
         assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))
+    for own, verdict in ((0.5, "explained"), (0.4, "ambiguous")):  # the model's own change closes more
+        _, decided = judged_by(selected, lambda *_: SimpleNamespace(closure=0.9), told, own=own)
+        assert decided.name == verdict
     for closure in (0.0, -0.4):  # the model alone predicts as well
         _, decided = judged_by(selected, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
         assert (decided.name, decided.causes) == ("no_gap", ())

@@ -73,16 +73,14 @@ def shortfalls(
 ) -> list[str]:
     """Return per cause why it does not explain what it claims; empty where it does.
 
-    `gap` is that of `fit`, whose chosen effects are the `causes`. A model that was fitted to the same logs trades with
-    them freely, so only their remainder counts then. It does not count for a cause, by number, that is `irreplaceable`:
-    the formula of a play or of an elastic gear misses more than 5 %, but nothing smooth could replace it.
+    `gap` is that of `fit`, whose chosen effects are the `causes`. Of a model that was fitted to the same logs only
+    their remainder counts. It does not count for a cause, by number, that is `irreplaceable`: the formula of a play or
+    of an elastic gear misses more than 5 %, but nothing smooth could replace it.
     """
     if not causes or gap.closure is None:
         return [""] * len(causes)
-    error = fit.out_of_fold(fit.transient)
     taken_out = [fit.out_of_fold(fit.transient, number) for number in range(len(causes))]
-    own = gap.closure_without(np.sum(taken_out, axis=0) - (len(causes) - 1) * error) or 0.0
-    sizes = remainder_sizes(fit, gap)
+    own, sizes = closed_alone(fit, gap, len(causes)), remainder_sizes(fit, gap)
     reasons = []
     for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
         joint = _main_joint(fit, gap, candidate, rows)
@@ -95,6 +93,18 @@ def shortfalls(
         else:
             reasons.append("")
     return reasons
+
+
+def closed_alone(fit: Fit, gap: HeldOutGap, count: int) -> float:
+    """Part of the gap that the `count` chosen effects of a fit close, without the change of the model's parameters.
+
+    A model that was fitted to the same logs trades with them freely, and its part is not separated.
+    """
+    if not fit.given:
+        return gap.closure or 0.0
+    error = fit.out_of_fold(fit.transient)
+    without = error + sum(fit.out_of_fold(fit.transient, number) - error for number in range(count))
+    return gap.closure_without(without) or 0.0
 
 
 def _main_joint(fit: Fit, gap: HeldOutGap, candidate: Candidate, taken_out: np.ndarray) -> int:

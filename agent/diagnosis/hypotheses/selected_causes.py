@@ -111,7 +111,7 @@ class SelectedCauses:
 
     def with_runner_up(self, number: int = 0) -> SelectedCauses:
         """The same finding with the likeliest replacement of a cause in another hypothesis as its equal."""
-        place = self.causes[number].place
+        place, named = self.causes[number].place, {cause.place for cause in self.causes}
         others = (other for h in self.hypotheses if place not in h.places for other in h.places)
-        likely = next((other for other in others if near(place, other)), None)
+        likely = next((other for other in others if near(place, other) and other not in named), None)
         return self if likely is None else self.with_rival(number, likely)
