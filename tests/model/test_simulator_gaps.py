@@ -25,9 +25,10 @@ from agent.diagnosis.simulator_file.explanation import (
     with_expected_error,
     with_numbers,
 )
+from agent.diagnosis.simulator_file.reversals import with_reversals
 from agent.diagnosis.verdict import Verdict
 from agent.estimation import estimate
-from agent.model import CATALOGUE, IdentifiedModel, possible_model
+from agent.model import CATALOGUE, IdentifiedModel, Reversal, possible_model
 from agent.pages.diagnosis.page import diagnosis_report
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_again, diagnose_files
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
@@ -36,6 +37,7 @@ from agent.pipeline.gap.simulator import write_simulator
 from agent.recording import read_log, write_log
 from agent.simulators import export_model, load_simulator
 from fake_controller.plant import Plant
+from tests.estimation.conftest import _log
 from tests.model.bench import CHAIN, RATE, URDF, recorded, scene, states, written
 from tests.small_arms import make_arm, record
 
@@ -272,6 +274,23 @@ def test_one_link_too_heavy_in_the_file_is_that_link(tmp_path):
     (cause,) = found.result["causes"]
     assert cause["effect"] == "inertial_mismatch"
     assert next(iter(cause["parameters"].items())) == ("mz2", pytest.approx(-0.45, rel=0.03))
+
+
+def test_how_friction_reverses_is_learnt_on_a_joint_of_its_own(tmp_path):
+    """Though another joint errs far more; the arm rests half of the time, held by its friction."""
+    model = load_simulator(written(tmp_path, upright(5.0), "arm.urdf"), None, ("pan", "lift", "bend")).model
+    t = np.arange(4000) / 125
+    phase = np.cumsum(np.maximum(np.sin(2 * np.pi * 0.25 * t), 0.0)[:, None] * [0.9, 1.3, 1.1], axis=0) / 125
+    q = 0.6 * np.sin(3 * phase) + 0.2 * np.sin(7 * phase)
+    qd = np.gradient(q, t, axis=0)
+    held = [replace(term, reversal=Reversal("travel", 2e-5)) if term.reversal else term for term in model.terms]
+    torque = replace(model, terms=tuple(held)).predict(q, qd, np.gradient(qd, t, axis=0), t)
+    torque[:, 0] += 20 * np.sin(9 * t)
+    log = _log(model.robot, t, q, torque + np.random.default_rng(1).normal(0, 0.02, torque.shape), "log.mcap")
+    learnt = with_reversals(assemble(model.robot, with_expected_error(model, [log]), [log], None))
+    kinds = [term.reversal.kind for term in learnt.terms if term.reversal]
+    assert kinds[1:] == ["travel", "travel"]
+    assert max(term.reversal.scale for term in learnt.terms[2:] if term.reversal) < 3e-4
 
 
 def test_sharp_simulator_friction_is_not_explained_by_a_delay(tmp_path, robot):

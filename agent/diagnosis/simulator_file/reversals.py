@@ -21,7 +21,7 @@ def with_reversals(dataset: Dataset) -> IdentifiedModel:
     """The model of the data with the travel per axle over which friction reverses that leaves least of the residual.
 
     The level is fitted along, because the file's may be wrong; where it has none, nothing reverses. An axle keeps its
-    own reversal unless another one takes as much of its squared error as a number of the file has to
+    own reversal unless another one takes as much of the squared error of its joints as a number of the file has to
     (`LIMITS.least_gain`).
     """
     model, signals = dataset.model, dataset.fit.signals
@@ -32,13 +32,16 @@ def with_reversals(dataset: Dataset) -> IdentifiedModel:
             continue
         ends = [(s.axles.position[:, term.axle].min(), s.axles.position[:, term.axle].max()) for s in signals]
         travelled = max(high for _, high in ends) - min(low for low, _ in ends)
-        options = [term.reversal, *(Reversal("travel", float(part * travelled)) for part in REVERSAL_TRAVELS)]
+        # effects are looked for with longer ones only: these show on a stationary joint alone, which they hold
+        shorter = [REVERSAL_TRAVELS[0] ** 2 / part for part in REVERSAL_TRAVELS[1:]]
+        options = [term.reversal, *(Reversal("travel", float(p * travelled)) for p in (*shorter, *REVERSAL_TRAVELS))]
         share = dataset.robot.coupling[term.axle]
+        own = share != 0
         columns = []
         for reversal in options:
-            parts = [s.low_pass(np.outer(s.axles.direction(term.axle, reversal), share)) for s in signals]
-            columns.append(np.concatenate(parts) / dataset.fit.sigma)
-        target = dataset.residual / dataset.fit.sigma + level * columns[0]
+            parts = [s.low_pass(np.outer(s.axles.direction(term.axle, reversal), share[own])) for s in signals]
+            columns.append(np.concatenate(parts) / dataset.fit.sigma[:, own])
+        target = (dataset.residual / dataset.fit.sigma)[:, own] + level * columns[0]
         error = [_left(target, column) for column in columns]
         best = int(np.argmin(error))
         if error[best] < (1 - LIMITS.least_gain) * error[0]:
