@@ -12,6 +12,7 @@ from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN
 from agent.diagnosis.simulator_file.reversals import reversals_as_effects
 from agent.model import IdentifiedModel
+from agent.robot import ParameterLayout
 from agent.simulators import Correction, PositionServos, Released, Simulator, correct, with_servos
 
 
@@ -42,7 +43,11 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
     for candidate, values in zip(fit.chosen, fitted, strict=True):
         reasons[candidate.effect.name, tuple(names[j] for j in candidate.joints)] = reason(candidate.text(names))
         effects.append(candidate.part_of_model(values, names))
-    of_model = change[: len(simulator.model.values)]
+    of_model = change[: len(simulator.model.values)].copy()
+    if (servos := diagnosis.dataset.servos) is not None:  # the file's simulator adds inertia to what it says
+        robot, rotors = diagnosis.dataset.robot, ParameterLayout.of(diagnosis.dataset.robot).rotors
+        moved = np.isin(np.arange(robot.dof), list(released.rotors))
+        of_model[:b] -= simulator.model.projection[:, rotors] @ (moved * servos.added / robot.gear_ratios**2)
     reversing = reversals_as_effects(diagnosis.dataset.model, of_model)
     effects += reversing
     reasons |= {(effect.effect, effect.joints): "how friction reverses" for effect in reversing}
@@ -119,5 +124,5 @@ def _with_servos(correction: Correction, diagnosis: Diagnosis, change: np.ndarra
     }
     gains = {g.joint for g in groups if g.kind == GAIN}
     stiffness = np.array([servos.kp[k] + (change[first + k] if k in gains else 0.0) for k in range(n)])
-    delay = np.maximum(own.delay + change[first + n : first + 2 * n], 0.0)
+    delay = np.maximum(own.delay + change[-n:], 0.0)
     return with_servos(correction, stiffness, damping, delay, servos.impedance, reasons)

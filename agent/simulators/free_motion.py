@@ -4,6 +4,10 @@
 
 The command r acts late by τ, limits of set-point and force after that. A command that is held from frame to frame
 enters every step as its mean over that step, so the motion is a smooth function of τ.
+
+Damping is explicit here, and h d / 2 of armature are added to a step of h: the trapezoidal rule, which has second order
+and is stable. MuJoCo's implicit damping is early by half a step, which counts as inertia (`added_inertia`), and it does
+not let friction stop a joint within a step.
 """
 
 from __future__ import annotations
@@ -157,6 +161,9 @@ class FreeSimulator:
         if hasattr(model, "actuator_delay"):
             model.actuator_delay[:] = 0.0  # the command is late already
         model.opt.timestep = self.step = min(float(model.opt.timestep), _COARSEST)
+        self._integrator = int(model.opt.integrator)
+        model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 
     def carrying(self, load: np.ndarray) -> FreeSimulator:
         """The same arm with a load: standard parameters (10,) that its link gains; as it is where no body has them."""
@@ -187,6 +194,7 @@ class FreeSimulator:
         """The same arm whose friction holds a stationary joint as real friction does, where MuJoCo's gives way."""
         firm, model = copy(self), copy(self.model)
         model.dof_solimp[self._dof, 0] = self._mujoco.mjMAXIMP
+        model.dof_solref[self._dof] = 2 * self.step, 1.0  # stops within a step
         firm.model, firm.arm = model, replace(self.arm, impedance=np.array(model.dof_solimp[self._dof, 0]))
         firm.__dict__.pop("creep", None)
         return firm
@@ -202,6 +210,16 @@ class FreeSimulator:
         first, second = model.dof_solref[self._dof].T
         rate = np.where(first > 0, 2 / np.maximum(model.dof_solimp[self._dof, 1] * first, 1e-9), -second)
         return np.asarray(rate * impedance / (1 - impedance))
+
+    def added_inertia(self, numbers: ServoNumbers) -> np.ndarray:
+        """(n,) [kg·m²] that a step of the file's own integrator adds: implicit damping is early, explicit late."""
+        kinds, own = self._mujoco.mjtIntegrator, self._servos(numbers).damping
+        implicit = {
+            kinds.mjINT_IMPLICIT: numbers.damping,
+            kinds.mjINT_IMPLICITFAST: numbers.damping,
+            kinds.mjINT_EULER: numbers.damping - 2 * own,
+        }
+        return np.asarray(0.5 * self.step * implicit.get(self._integrator, np.zeros(len(own))))
 
     @cached_property
     def numbers(self) -> ServoNumbers:
@@ -272,11 +290,12 @@ class FreeSimulator:
     def _set(self, numbers: ServoNumbers) -> Any:
         """The compiled model with these numbers; what damping is less than the file's kv comes off the servo's."""
         model, own = self.model, self.servos
-        model.dof_armature[self._dof] = numbers.armature
+        model.dof_armature[self._dof] = numbers.armature + 0.5 * self.step * numbers.damping
         model.dof_frictionloss[self._dof] = numbers.friction
         servos = self._servos(numbers)
         model.dof_damping[self._dof] = numbers.damping - servos.damping
         for j, actuator in enumerate(own.actuators):
             gain, bias = servos.parameters(j)
             model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator, :3] = gain, bias
+        self._mujoco.mj_setConst(model, self._mujoco.MjData(model))  # MuJoCo keeps the inertia of an arm of one joint
         return model

@@ -16,8 +16,9 @@ from agent.diagnosis.hypotheses.joint_moments import solved_lower
 from agent.diagnosis.hypotheses.law import POWER
 from agent.diagnosis.hypotheses.noise_model import scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidateBlock
-from agent.diagnosis.hypotheses.score import Evaluated, Score
+from agent.diagnosis.hypotheses.score import LEAST_SCALE, Evaluated, Score
 from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.fit import Fit
 
 
 class Evidence(Score):
@@ -100,15 +101,31 @@ class Evidence(Score):
         """
         numbers = self.pool.numbers(forms)
         ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
-        total, scales = np.zeros((int(ends[-1]),) * 2), np.minimum(self.nothing.scales, 1.0)
+        prior = block_diag(self._prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
+        return self._information(forms, np.minimum(self.nothing.scales, 1.0)), prior, ends
+
+    def covariance(self, fit: Fit) -> np.ndarray:
+        """Return the covariance (m, m) of the parameters of a fit of these logs, given the noise model.
+
+        Its scales are those of what the fit leaves of held-out motion.
+        """
+        left = np.nanmean((fit.out_of_fold(fit.transient) / fit.sigma) ** 2, axis=0)
+        matrix = self._information(fit.chosen, np.maximum(left, LEAST_SCALE)) + fit.prior
+        unit = 1 / np.sqrt(np.diag(matrix))
+        half = solved_lower(scaled_cholesky(matrix, unit), np.diag(unit))
+        return np.asarray(half.T @ half)
+
+    def _information(self, forms: Sequence[Candidate], scales: np.ndarray) -> np.ndarray:
+        numbers = self.pool.numbers(forms)
+        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        total = np.zeros((int(ends[-1]),) * 2)
         for j in range(self.joints):
             here = [place for place, form in enumerate(forms) if j in form.blocks]
             at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in here)]).astype(int)
             variance = self.noise.variance(j, float(scales[j]), 0.0, {})
             joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in here), at)
             total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
-        prior = block_diag(self._prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
-        return total, prior, ends
+        return total
 
     def reduced(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
         """Information (k, k) of further rows (S, k) of a joint, given the noise model.

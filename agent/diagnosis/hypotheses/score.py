@@ -35,7 +35,7 @@ from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
 
-_LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
+LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
 _ROUNDS = 3  # numerical: of scales and sizes, one more where nothing is known
 
 
@@ -171,7 +171,7 @@ class Score:
             sizes = [_nearest(self.sizes, max(of_effect.values(), default=0.0)) for of_effect in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
                 energy = left_energy(joints[j], mean[joints[j].at])
-                scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), _LEAST_SCALE)
+                scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
         ridges = [self.pool.ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
         log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))

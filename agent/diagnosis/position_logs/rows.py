@@ -55,6 +55,7 @@ def assemble_positions(
             fitted.base_values - model.base_values,
             np.stack([found.numbers.friction - given.friction, found.numbers.damping - given.damping], axis=1).ravel(),
             found.numbers.kp - given.kp,
+            np.zeros(n),
             found.numbers.delay - given.delay,
         ]
     )
@@ -72,7 +73,7 @@ def assemble_positions(
     sigma = np.broadcast_to(error, (len(time), n)).copy()
     cell, folds, single = folds_of(time, log, logs)
     usual = np.concatenate(
-        [np.abs(model.values) + _LEAST * np.abs(model.values).max(), given.kp, np.full(n, USUAL_DELAY)]
+        [np.abs(model.values) + _LEAST * np.abs(model.values).max(), given.kp, given.damping, np.full(n, USUAL_DELAY)]
     )
     covariance = np.diag((_EXACT * usual) ** 2)
     index = [np.arange(len(usual))] * n
@@ -87,12 +88,15 @@ def assemble_positions(
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
     file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
     simulator = found.simulator
-    servos = ServoParameters(covariance, given.kp, USUAL_DELAY, file, simulator.arm.impedance, step=simulator.step)
+    added = simulator.added_inertia(found.numbers)
+    servos = ServoParameters(
+        covariance, given.kp, USUAL_DELAY, file, simulator.arm.impedance, added, step=simulator.step
+    )
     return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
 
 
 def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.ndarray) -> np.ndarray:
-    """(S', n, p) change of the positions with each parameter of the model, each kp and each delay.
+    """(S', n, p) change of the positions with each parameter of the model, each kp, bend of damping and delay.
 
     `numbers` (S', n, 5 n) are those of joints and servos (`LinearisedMotion.number_columns`).
     """
@@ -101,7 +105,9 @@ def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.n
     bodies = line.response.of_torque({j: base[:, j] for j in range(n)})
     kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(5)]
     friction = np.stack([kinds[2], kinds[1]], axis=-1).reshape(*kinds[1].shape[:2], 2 * n)
-    return np.concatenate([bodies, friction, kinds[3], kinds[4]], axis=2)
+    bends = [(qd * np.abs(qd))[:, None] for qd in line.signals.qd.T]
+    bend = np.concatenate([line.response.of_torque({j: torque}) for j, torque in enumerate(bends)], axis=2)
+    return np.concatenate([bodies, friction, kinds[3], bend, kinds[4]], axis=2)
 
 
 def _as_given(fit: OutputErrorFit) -> np.ndarray:

@@ -32,12 +32,14 @@ from agent.simulators import SIMULATOR
 
 @dataclass(frozen=True, eq=False)
 class ServoParameters:
-    """Parameters of position servos, after those of the model: n of kp [N·m/rad], then n of delay [s].
+    """Parameters of position servos, after those of the model: n of kp [N·m/rad], bend of damping and delay [s] each.
+
+    Damping d bends with speed by b: the torque is d v + b v |v|. No file of a simulator has b.
 
     `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
     one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right.
     `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
-    [s] of the simulation, `impedance` (n,) of friction as in `SimulatedArm`.
+    [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `impedance` (n,) of friction as in `SimulatedArm`.
     """
 
     covariance: np.ndarray
@@ -45,6 +47,7 @@ class ServoParameters:
     delay: float
     file: np.ndarray
     impedance: np.ndarray
+    added: np.ndarray
     kp_known: bool = False
     later: float = 0.0
     step: float = 0.0

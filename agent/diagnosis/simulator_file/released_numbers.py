@@ -32,7 +32,7 @@ _GAIN_KNOWN = 0.1  # of a servo's gain, standard deviation from where on positio
 #: The remaining gap, as the last step.
 REMAINDER = "remainder"
 #: Kinds of groups of servos.
-GAIN, DELAY = "servo gain", "delay of the command"
+GAIN, BEND, DELAY = "servo gain", "bend of damping", "delay of the command"
 OWN_PARAMETERS = "the model's own parameters"
 
 
@@ -117,8 +117,9 @@ def release(
 def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]) -> list[Group]:
     """Groups of which none can go back to the file's numbers: of all, the one that loses least goes, again and again.
 
-    Positions are linear about numbers that were all fitted, so that is where to start from. Last, a joint's friction
-    and rotor go if its servo's gain alone does as well: they show as ratios to it (backward elimination).
+    Positions are linear about numbers that were all fitted, so that is where to start from. Each number has to gain: a
+    link has ten, and links together only scale all else. Last, a joint's friction and rotor go if its servo's gain
+    alone does as well: they show as ratios to it (backward elimination).
     """
     fit = dataset.fit.with_chosen(causes)
     least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.held)
@@ -135,7 +136,7 @@ def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]
             solution = unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * train[:-1, -1])
             extended = np.append(solution, -1.0)
             total += float(extended @ test @ extended)
-        return total + least * len(groups)
+        return total + least * sum(group.directions.shape[1] for group in groups)
 
     chosen, best = list(pool), error(pool)
     while True:
@@ -213,14 +214,28 @@ def _of_servos(dataset: Dataset) -> list[Group]:
     gains = np.zeros((n, len(servos.covariance), 1))
     gains[np.arange(n), first + np.arange(n), 0] = servos.kp
     late = np.zeros((len(servos.covariance), 1))
-    late[first + n :] = servos.delay
+    late[-n:] = servos.delay
     free = () if servos.kp_known else range(n)
     return [*(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free), Group(DELAY, -1, late, np.ones(1))]
 
 
 def drive_groups(dataset: Dataset) -> list[Group]:
-    """Friction, rotor and servo of every joint, and the delay: all groups without links."""
-    return [group for group in groups_of(dataset) if group.kind != "link inertia"]
+    """Friction, rotor and servo of every joint, the delay, and bends: all groups without links."""
+    return [*(group for group in groups_of(dataset) if group.kind != "link inertia"), *bends_of(dataset)]
+
+
+def bends_of(dataset: Dataset) -> list[Group]:
+    """How much damping of each joint bends with speed, as grease does: no file has it, and no arm is without.
+
+    A straight line takes a bend for Coulomb friction. None where torque is judged.
+    """
+    if (servos := dataset.servos) is None:
+        return []
+    n, size = len(servos.kp), len(servos.covariance)
+    speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
+    viscous = [group.scale[-1] / speed[group.joint] for group in groups_of(dataset) if group.kind == "friction"]
+    columns = np.eye(size)[size - 2 * n : size - n] * np.array(viscous)[:, None]
+    return [Group(BEND, j, columns[j][:, None], np.array(viscous[j : j + 1])) for j in range(n)]
 
 
 def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:

@@ -38,16 +38,17 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     the file has it is no better known than one that was not. A joint whose gain positions do not tell has ratios only,
     and no numbers.
 
-    A simulation in steps of h does not tell more: a command arrives within ± h / 2, and implicit damping d, as in the
-    file's simulator, counts as h d of inertia. An arm, and a simulator with explicit damping, may have as much more.
+    A simulation in steps of h does not tell more: a command arrives within ± h / 2, and damping d is worth ± h d / 2 of
+    inertia, by whether it is implicit or explicit in it.
     """
     dataset, names = found.dataset, found.dataset.robot.joint_names
     servos = dataset.servos
     assert servos is not None
     doubtful = doubtful_gains(dataset)
     values, low, high = _intervals(found, np.asarray)
-    less = {"delay_s": np.full(len(names), min(servos.later, 0.0))}
-    more = {"delay_s": np.full(len(names), max(servos.later, 0.0)), "armature": servos.step * values[1]}
+    of_step = 0.5 * servos.step * values[1]
+    less = {"delay_s": np.full(len(names), min(servos.later, 0.0)), "armature": -of_step}
+    more = {"delay_s": np.full(len(names), max(servos.later, 0.0)), "armature": of_step}
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
         below, above = (changes.get(kind, np.zeros(len(names))) for changes in (less, more))
@@ -69,9 +70,9 @@ def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray
     drives = drive_groups(dataset)
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     free = servo_numbers(dataset, drives, wide.fitted()[0])
-    inverse, _ = wide.solve(np.ones(wide.cells, dtype=bool))
     p, normal = len(dataset.held), float(ndtri((1 + LAW.certain) / 2))
-    spread = normal * _deviations(dataset, drives, inverse[:p, :p], free, form)
+    covariance = explanation.search.evidence.covariance(wide)
+    spread = normal * _deviations(dataset, drives, covariance[:p, :p], free, form)
     for folds in (wide.folds, wide.single):
         without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0])) for fold in folds]
         spread = np.maximum(spread, jackknife(np.stack(without)))
@@ -144,9 +145,7 @@ def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray)
         at += group.directions.shape[1]
     friction = change[b : b + 2 * n]
     first = len(model.values)
-    return servos.file + np.stack(
-        [change[first : first + n], friction[1::2], moved, friction[::2], change[first + n : first + 2 * n]]
-    )
+    return servos.file + np.stack([change[first : first + n], friction[1::2], moved, friction[::2], change[-n:]])
 
 
 def _deviations(

@@ -159,6 +159,8 @@ class MjcfEdits:
     def set_number(self, k: int, key: str, value: float) -> None:
         """Set a number of a joint; angles are written in the file's unit."""
         self._joint(k).set(key, digits(value / self._unit(k) if key == "springref" else value))
+        if key == "solimpfriction" and self._arm.step is not None:
+            self._joint(k).set("solreffriction", f"{digits(2 * self._arm.step)} 1")  # it stops within a step
 
     def set_inertial(self, k: int, body: str, block: np.ndarray) -> None:
         """Set the inertia of a body, or of the body that joint k moves if it has no name."""
