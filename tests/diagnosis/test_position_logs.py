@@ -37,27 +37,32 @@ def recorded(
     joints: slice = slice(1, 2),
     rest: float = 0.0,
     impedance: float = 0.9,
+    nearest: float = np.inf,
+    bend: float = 0.0,
 ) -> Log:
     """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos.
 
-    The command moves on after every `rest` [s]; `impedance` is that of friction.
+    The command moves on after every `rest` [s] and is cut to within `nearest` of the positions; `impedance` is that of
+    friction. Damping d is d + `bend` |v|.
     """
     model = mujoco.MjModel.from_xml_path(str(source))
     model.dof_solimp[:, 0] = impedance
     model.dof_frictionloss[1] *= friction
+    model.dof_dampingpoly[:, 0] = bend
     model.actuator_gainprm[joints, 0] *= gain
     model.actuator_biasprm[joints, 1] *= gain
     data, t = mujoco.MjData(model), np.arange(int(SECONDS * RATE)) / RATE
     parts = ((0.5, 1.1), (0.25, 2.7), (0.08, 6.1))
     asked = np.floor(t / rest) * rest if rest else t
     r = sum(a * np.sin(np.outer(asked, w * np.array([1, 1.2])) + phase * w + [0, 1]) for a, w in parts)
-    each, q = round(1 / RATE / STEP), np.empty(r.shape)
+    each, q, sent = round(1 / RATE / STEP), np.empty(r.shape), r.copy()
     for k in range(-int(RATE), len(t)):
         if k >= 0:
             q[k] = data.qpos
+            sent[k] = np.clip(r[k], q[k] - nearest, q[k] + nearest)
         for part in range(each):
             now = max(k, 0) / RATE + (part + 0.5) * STEP * (k >= 0) - late
-            data.ctrl[:] = r[min(max(int(now * RATE), 0), len(r) - 1)]
+            data.ctrl[:] = sent[min(max(int(now * RATE), 0), len(r) - 1)]
             mujoco.mj_step(model, data)
     q = np.round(q / 0.0015) * 0.0015
     metadata = {"robot": "x", HOLD: "held"}
@@ -207,6 +212,45 @@ def test_friction_holds_a_stationary_joint_where_the_arm_does(source, tmp_path, 
     out = tmp_path / "fixed.xml"
     write_corrected(simulator, corrected(found, simulator), out)
     assert (mujoco.MjModel.from_xml_path(str(out)).dof_solimp[:, 0] > 0.999).all() == holds
+
+
+def test_a_simulation_in_steps_moves_as_an_arm_that_has_none(source, tmp_path):
+    one_joint = ARM[: ARM.index('<body name="fore"')] + "</body></worldbody>"
+    one_joint += '<actuator><position joint="lift"/></actuator></mujoco>'
+    log = recorded(source, 1)
+    for number, text in enumerate((ARM, one_joint)):
+        moved = []
+        for step in ("0.002", "0.0001"):
+            path = tmp_path / f"{number}_{step}.xml"
+            path.write_text(text.replace('timestep="0.002"', f'timestep="{step}"'), encoding="utf-8")
+            names = log.joint_names[: 2 - number]
+            free = FreeSimulator(load_simulator(path, None, names, None).arm).holding()
+            n = len(names)
+            command = RecordedCommand(log.t, log.reference_position[:, :n], True)
+            heavy = replace(free.numbers, armature=free.numbers.armature * 2, damping=free.numbers.damping * 3)
+            start = (0.0, log.position[0, :n], np.zeros(n))
+            moved += [
+                free.run(numbers, command, start, float(log.t[-1])).at(log.t) for numbers in (free.numbers, heavy)
+            ]
+        plain, heavy, plain_exact, heavy_exact = moved
+        assert np.sqrt(np.mean((plain - plain_exact) ** 2)) < 3e-5
+        assert np.sqrt(np.mean((heavy - heavy_exact) ** 2)) < 1.2e-4
+        assert np.abs(heavy - plain).max() > 0.02
+
+
+def test_commands_that_a_recorder_cut_are_said_and_are_no_fault(source):
+    logs = [recorded(source, k, late=0.02, rest=2.0, nearest=0.1) for k in (1, 2)]
+    found = found_in(source, logs)[1]
+    assert any("cut to within 0.1" in warning for warning in found.warnings)
+    assert {cause["effect"] for cause in found.result["causes"]} <= {"time_delay"}
+    _, low, high = found.result["servo"]["delay_s"][0]
+    assert low <= 0.02 <= high
+
+
+def test_friction_of_joints_whose_damping_bends_is_not_known_better_than_it_is(source):
+    result = found_in(source, [recorded(source, k, bend=-0.05) for k in (1, 2)])[1].result
+    assert all(low <= 0.05 <= high for _, low, high in result["servo"]["friction"])
+    assert not any(cause["effect"] == "friction_change" for cause in result["causes"])
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -28,7 +28,8 @@ class CommandedStretch:
     """One stretch of a log without a gap: time (S,) [s] of its frames, position (S, n), the command, and its start.
 
     `start` (2n,): position and speed at its first frame. The first `unsettled` frames are simulated and not judged: how
-    play, bristles and rings stand when a log begins is not known.
+    play, bristles and rings stand when a log begins is not known. Commands are cut to within `nearest` [rad or m] of
+    the positions.
     """
 
     log_index: int
@@ -37,6 +38,12 @@ class CommandedStretch:
     command: RecordedCommand
     start: np.ndarray
     unsettled: int = 0
+    nearest: float = np.inf
+
+    def cut(self, nearest: float) -> CommandedStretch:
+        """The stretch whose commands were cut to within `nearest` [rad or m] of the positions on their way."""
+        near = np.clip(self.command.set_points, self.position - nearest, self.position + nearest)
+        return replace(self, command=replace(self.command, set_points=near), nearest=nearest)
 
     @property
     def judged(self) -> slice:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
 from agent.core import InputError
@@ -22,6 +23,7 @@ from agent.diagnosis.position_logs.fitting import (
     OutputErrorFit,
     Parameters,
     fit_output_error,
+    missed,
     usual_scale,
 )
 from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
@@ -30,10 +32,12 @@ from agent.diagnosis.rows.needs import MotionCoverage
 from agent.diagnosis.simulator_file.explanation import Explanation, explained
 from agent.model import MotionSignals, NominalModel
 from agent.recording import HELD, HOLD, SMOOTH, Log
-from agent.simulators import FreeSimulator, Simulator
+from agent.simulators import FreeSimulator, ServoNumbers, Simulator
 
 _ROUGH = 0.05  # numerical: of the cost: a fit to start from gains less in its last round
 _SETTLES = 1.0  # s at most
+_NARROWER = 0.95  # numerical: of a cut of commands, the next one that is tried
+_CUT = 1e-3  # numerical: of a cut, how exactly it is searched
 _REVERSALS = 2  # of a joint, below which its numbers are not told
 
 
@@ -125,12 +129,22 @@ def _fitted(
         return fit_output_error(arm, reference, stretches, file, begin, fine, progress)
 
     soft, firm = fitted(free), fitted(free.holding())
-    held = _loaded(firm if _gains(soft, firm).sum() > chance else soft, reference, progress, known_kp)
+    first = firm if _gains(soft, firm).sum() > chance else soft
+    nearest = np.inf
+    for of_file in (True, False):
+        numbers = replace(file, delay=first.numbers.delay) if of_file else first.numbers
+        if (narrower := _nearest(first, numbers, stretches)) == np.inf:
+            continue
+        cut = [stretch.cut(narrower) for stretch in stretches]
+        again = fit_output_error(first.simulator, reference, cut, file, numbers, fine, progress)
+        if _gains(first, again).sum() > chance:
+            first, nearest = again, narrower
+    held = _loaded(first, reference, progress, known_kp)
     if len(ways) == 1:
         return held, "", 0.0
     # a held command is late by half a frame in the middle
     begin = replace(file if held.load.any() else held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
-    stretches = stretches_of(logs, False, settling)
+    stretches = [stretch.cut(nearest) for stretch in stretches_of(logs, False, settling)]
     smooth = fit_output_error(held.simulator, reference, stretches, file, begin, held.parameters, progress)
     gains = _gains(held, smooth)
     for_smooth, for_held = float(np.maximum(gains, 0).sum()), float(np.maximum(-gains, 0).sum())
@@ -152,6 +166,29 @@ def _loaded(
     start = replace(file, delay=fit.numbers.delay)
     other = fit_output_error(fit.simulator, reference, stretches, file, start, parameters, progress)
     return other if _gains(fit, other).sum() > _by_chance(len(LOAD_NUMBERS)) else fit
+
+
+def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> float:
+    """How near [rad or m] to the positions commands were cut; infinite where no cut does better.
+
+    A recorder with such a limit (LeRobot's max_relative_target) stores what was wanted, not what was sent. The
+    `numbers` are the file's, or fitted: without a cut, fitted ones follow one that is too wide.
+    """
+
+    def error(nearest: float) -> float:
+        cut = [stretch.cut(nearest) for stretch in stretches]
+        motions = [stretch.run(fit.simulator, numbers) for stretch in cut]
+        pairs = zip(cut, motions, strict=True)
+        return sum(np.inf if m is None else float(np.sum((missed(s, m) / fit.sigma) ** 2)) for s, m in pairs)
+
+    least, widest = error(np.inf), max(float(np.abs(s.command.set_points - s.position).max()) for s in stretches)
+    nearest = widest
+    while (now := error(_NARROWER * nearest)) <= least:  # no less where servos are at their limits
+        nearest, least = _NARROWER * nearest, now
+    if nearest == widest:
+        return np.inf
+    around = (_NARROWER * nearest, nearest / _NARROWER)
+    return float(minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _CUT * nearest}).x)
 
 
 def _gains(fit: OutputErrorFit, other: OutputErrorFit) -> np.ndarray:
@@ -185,6 +222,11 @@ def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -
                 f"{other}, the delay is {1e3 * abs(later):.3g} ms {change}"
             )
         said.append(text)
+    if (nearest := fit.stretches[0].nearest) < np.inf:
+        said.append(
+            f"commands were cut to within {nearest:.3g} rad or m of the positions on their way, as a recorder with "
+            "max_relative_target does; the logs have what was wanted"
+        )
     if np.any(fit.simulator.arm.impedance > impedance):
         said.append(
             f"friction of {name} is soft, as MuJoCo's is by default: it lets a stationary joint creep. The arm's "
