@@ -10,20 +10,24 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
-from agent.diagnosis.document import Cause
 from agent.diagnosis.gap.adequacy import remainders
 from agent.diagnosis.gap.drives_off import as_evidence, channel_zero, said_by_zero
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
-from agent.diagnosis.gap.torque_gap import HeldOutGap
+from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
-from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, causes_of_numbers
+from agent.diagnosis.simulator_file.explanation import Explanation, beyond_usual, search_simulator, with_numbers
+from agent.diagnosis.simulator_file.released_numbers import (
+    ReleasedSimulator,
+    bends_of,
+    causes_of_numbers,
+    released_fit,
+)
 from agent.diagnosis.simulator_file.servo_table import differing
 from agent.diagnosis.verdict import (
     Verdict,
@@ -122,27 +126,22 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
     if explanation.dataset.servos is not None:
         whole = causes_of(explanation.dataset, explanation.selected, explanation.as_given)
         pairs = zip(whole, causes, strict=True)
-        sized = _beyond_usual(explanation, explanation.gap, [of_all for of_all, of_rest in pairs if has_size(of_rest)])
+        sized = [of_all for of_all, of_rest in pairs if has_size(of_rest)]
         doubted = {remainder.joint for remainder in remainders(explanation.dataset, explanation.gap)}
         told = [cause for cause in numbers if has_size(cause) and doubted.isdisjoint(cause.joints)]
-        differ = _beyond_usual(explanation, explanation.as_given, differing(explanation, told))
-        exceeds = bool(_exceeds(explanation, explanation.as_given).any())
-        return decide_by_position(sized, differ, explanation.as_given.closure, exceeds)
+        gap, given, names = explanation.as_given, explanation.released.given, explanation.dataset.robot.joint_names
+        errs = beyond_usual(gap.before * gap.unit, explanation.selected.fit)
+        differ = [
+            cause
+            for cause in differing(explanation, told)
+            if errs[[names.index(name) for name in cause.joints or names]].any()
+        ]
+        bent = rms(gap.beyond(released_fit(given, bends_of(given)).out_of_fold()))
+        return decide_by_position(sized, differ, gap.closure, bool(beyond_usual(bent, given.fit).any()))
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers)
     return with_numbers(verdict, explanation, numbers) if explanation.of_file else verdict
-
-
-def _exceeds(explanation: Explanation, gap: HeldOutGap) -> np.ndarray:
-    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`)."""
-    return np.asarray(gap.before * gap.unit >= LIMITS.usual_error * explanation.selected.fit.sigma.min(axis=0))
-
-
-def _beyond_usual(explanation: Explanation, gap: HeldOutGap, causes: Sequence[Cause]) -> list[Cause]:
-    """The causes one of whose joints errs by more than a right file does."""
-    names, exceeds = explanation.dataset.robot.joint_names, _exceeds(explanation, gap)
-    return [cause for cause in causes if exceeds[[names.index(name) for name in cause.joints or names]].any()]
 
 
 def check_effects(names: Sequence[str]) -> None:

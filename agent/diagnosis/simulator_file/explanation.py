@@ -105,6 +105,11 @@ class Explanation:
         return float(np.mean(self.gap.after**2))
 
 
+def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
+    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`), of an error (n,) [rad or m]."""
+    return np.asarray(error >= LIMITS.usual_error * fit.sigma.min(axis=0))
+
+
 def _like_links(causes: Sequence[Candidate]) -> bool:
     """Whether an effect may stand in for links that weigh otherwise: a torque over position, and no load."""
     effects = [candidate.effect for candidate in causes]
@@ -201,7 +206,12 @@ def _search_with(
     left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
     selected, gap = supported(moved, named(search.run()), unit)
-    kept = [k for k in range(len(selected.causes)) if _possible(model, selected.fit, k)]
+    errs = beyond_usual(gap.before * gap.unit, moved.fit) | (moved.servos is None)
+    kept = [
+        k
+        for k, cause in enumerate(selected.causes)
+        if _possible(model, selected.fit, k) and errs[list(cause.joints) or slice(None)].any()
+    ]
     if len(kept) < len(selected.causes):
         selected = selected.only(kept) if kept else selected.without_causes(leaves_gap=True)
         selected, gap = supported(moved, selected, unit)
