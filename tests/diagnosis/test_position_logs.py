@@ -145,6 +145,15 @@ def test_a_load_is_found_with_its_mass_and_not_as_gains_of_all_servos(source, tm
     assert not any(cause["effect"] == "torque_constant" for cause in result["causes"])
 
 
+def test_a_light_load_may_be_links_that_weigh_otherwise(source, tmp_path):
+    loaded = tmp_path / "loaded.xml"
+    ball = '<geom type="sphere" size="0.001" pos="0.15 0 0" mass="0.06" contype="0" conaffinity="0"/>'
+    text = ARM.replace("</body></body></worldbody>", f'<body name="load">{ball}</body></body></body></worldbody>')
+    loaded.write_text(text, encoding="utf-8")
+    first = found_in(source, [recorded(loaded, k) for k in (1, 2)])[1].result["causes"][0]
+    assert {first["effect"], *(other["effect"] for other in first["equivalent_to"])} >= {"payload", "inertial_mismatch"}
+
+
 def test_how_a_log_begins_is_simulated_and_not_judged(source):
     log = recorded(source, 1)
     simulator = load_simulator(source, None, log.joint_names, None)
@@ -248,7 +257,9 @@ def test_commands_that_a_recorder_cut_are_said_and_are_no_fault(source):
 
 
 def test_friction_of_joints_whose_damping_bends_is_not_known_better_than_it_is(source):
-    result = found_in(source, [recorded(source, k, bend=-0.05) for k in (1, 2)])[1].result
+    logs = [recorded(source, k, bend=-0.05) for k in (1, 2)]
+    simulator = load_simulator(source, None, logs[0].joint_names, None)
+    result = diagnose(simulator.robot, logs, simulator.model, simulator=simulator, known_kp=True).result
     assert all(low <= 0.05 <= high for _, low, high in result["servo"]["friction"])
     assert not any(cause["effect"] == "friction_change" for cause in result["causes"])
 

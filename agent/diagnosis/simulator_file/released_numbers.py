@@ -396,5 +396,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
         known = np.abs(change[:base]) > LIMITS.deviations * model.standard_deviations[:base]
         torque = change[:base] ** 2 * np.diagonal(found.given.fit.gram.sum(axis=0))[:base]  # what makes most is first
         parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
-        causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters))
+        last = any(group.kind == "link inertia" and group.joint == found.given.robot.load_link for group in bodies)
+        as_load = (EffectPlace(called["load"], ()),) if last and found.given.servos is not None else ()
+        causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
