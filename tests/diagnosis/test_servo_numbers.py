@@ -76,7 +76,9 @@ def test_ratios_to_a_gain_that_positions_do_not_tell_are_compared(monkeypatch, e
 
 def test_another_joint_and_the_whole_arm_are_judged_by_their_own_numbers(monkeypatch):
     assert not named(monkeypatch, "torque_constant", ("elbow",), kp=(1.4, 1.6))
-    assert named(monkeypatch, "time_delay", ())
+    assert not named(monkeypatch, "time_delay", ())
+    assert named(monkeypatch, "time_delay", (), delay_s=(1.2, 1.4))
+    assert named(monkeypatch, "payload", ())
 
 
 @pytest.mark.parametrize(("closure", "exceeds", "verdict"), [

@@ -14,6 +14,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import (
+    DELAY,
     GAIN,
     Group,
     doubtful_gains,
@@ -26,7 +27,7 @@ from agent.model import CATALOGUE
 #: Kinds of numbers, in the order of a result.
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
 #: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
-_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction")}
+_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay_s",)}
 _RATIOS = ("damping", "armature", "friction")
 
 
@@ -82,7 +83,7 @@ def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray
 
 
 def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
-    """The causes but gains and frictions of a joint all of whose intervals hold the file's own numbers.
+    """The causes but gains, frictions and delays all of whose intervals hold the file's own numbers.
 
     A number may differ by what a right file is expected to leave, `LIMITS.least_error` of its joint's torque. Where
     positions do not tell the gain, ratios to it are compared: another gain is another friction, damping and rotor.
@@ -103,7 +104,7 @@ def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
         numbers = CATALOGUE[cause.effect].numbers
         kinds = _NUMBERS_OF.get(numbers, ())
         known = []
-        for joint in map(names.index, cause.joints):
+        for joint in map(names.index, cause.joints or names):
             open_gain = joint in doubtful
             holding = (as_ratio if open_gain else told)[:, joint]
             of_joint = _RATIOS if open_gain and numbers == GAIN else kinds
