@@ -109,8 +109,8 @@ class Evidence(Score):
 
         Its scales are those of what the fit leaves of held-out motion.
         """
-        left = np.nanmean((fit.out_of_fold(fit.transient) / fit.sigma) ** 2, axis=0)
-        matrix = self._information(fit.chosen, np.maximum(left, LEAST_SCALE)) + fit.prior
+        scales = np.nanmean((fit.out_of_fold(fit.transient) / fit.sigma) ** 2, axis=0)
+        matrix = self._information(fit.chosen, np.maximum(scales, LEAST_SCALE)) + fit.prior
         unit = 1 / np.sqrt(np.diag(matrix))
         half = solved_lower(scaled_cholesky(matrix, unit), np.diag(unit))
         return np.asarray(half.T @ half)
