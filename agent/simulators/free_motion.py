@@ -23,7 +23,7 @@ from scipy.interpolate import Akima1DInterpolator
 from agent.core import InputError
 from agent.model import pseudo_inertia
 from agent.simulators.arm import SimulatedArm
-from agent.simulators.mjcf import compiled, mujoco_package
+from agent.simulators.mjcf import compiled, mujoco_package, without_warnings
 from agent.simulators.servos import PositionServos
 
 LOST = 1e3  # rad/s or m/s: a simulator that has blown up
@@ -226,6 +226,7 @@ class FreeSimulator:
         """Those of the file."""
         return ServoNumbers.of(self.arm)
 
+    @without_warnings()  # the answer says what blows up
     def run(
         self,
         numbers: ServoNumbers,

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from copy import copy
 from itertools import chain
 from pathlib import Path
@@ -47,6 +48,18 @@ def mujoco_package() -> Any:
         InputError: it is not installed.
     """
     return needed("mujoco", "an MJCF", "mujoco")
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Without MuJoCo's warnings: it prints them, and writes them to MUJOCO_LOG.TXT wherever the command runs."""
+    mujoco = mujoco_package()
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda text: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def compiled(path: Path) -> Any:

@@ -264,6 +264,18 @@ def test_friction_of_joints_whose_damping_bends_is_not_known_better_than_it_is(s
     assert not any(cause["effect"] == "friction_change" for cause in result["causes"])
 
 
+def test_a_simulation_that_blows_up_is_told_by_its_answer_alone(source, tmp_path, monkeypatch, capfd):
+    """MuJoCo would print a warning, and write it to a file where the command runs."""
+    monkeypatch.chdir(tmp_path)
+    simulator = load_simulator(source, None, ("lift", "elbow"), None)
+    log = recorded(source, 1)
+    free, stretch = FreeSimulator(simulator.arm), stretches_of([log], True, 0.0)[0]
+    assert stretch.run(free, replace(free.numbers, armature=np.full(2, -9.0))) is None
+    assert capfd.readouterr().err == ""
+    assert not list(tmp_path.iterdir())
+    assert mujoco.get_mju_user_warning() is None
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
