@@ -144,7 +144,7 @@ def _fitted(
         return held, "", 0.0
     # a held command is late by half a frame in the middle
     begin = replace(file if held.load.any() else held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
-    stretches = [stretch.cut(nearest) for stretch in stretches_of(logs, False, settling)]
+    stretches = tuple(stretch.cut(nearest) for stretch in stretches_of(logs, False, settling))
     smooth = fit_output_error(held.simulator, reference, stretches, file, begin, held.parameters, progress)
     gains = _gains(held, smooth)
     for_smooth, for_held = float(np.maximum(gains, 0).sum()), float(np.maximum(-gains, 0).sum())
