@@ -130,8 +130,9 @@ def attack(bench, request):
 def assert_stopped(one: Attacked, name: str) -> None:
     assert one.code in (4, 5), one.errors
     assert "Traceback" not in one.errors
-    if one.controller.motions_started == 0:
-        assert "samples/s now, the controller makes 500" in one.errors
+    if one.controller.motions_started == 0:  # refused, or the link was lost before the arm set out
+        said = ("samples/s now, the controller makes 500", "samples show a stationary arm until then")
+        assert any(text in one.errors for text in said), one.errors
         return
     assert one.controller.motions_started == 1
     assert one.controller.ends != [EndReason.DONE], one.errors
