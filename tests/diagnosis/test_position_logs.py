@@ -139,7 +139,9 @@ def test_a_load_is_found_with_its_mass_and_not_as_gains_of_all_servos(source, tm
     ball = '<geom type="sphere" size="0.001" pos="0.15 0 0" mass="0.2" contype="0" conaffinity="0"/>'
     text = ARM.replace("</body></body></worldbody>", f'<body name="load">{ball}</body></body></body></worldbody>')
     loaded.write_text(text, encoding="utf-8")
-    result = found_in(source, [recorded(loaded, k, late=0.04, friction=1.0) for k in (1, 2)])[1].result
+    found = found_in(source, [recorded(loaded, k, late=0.04, friction=1.0) for k in (1, 2)])[1]
+    result = found.result
+    assert not any("commands were cut" in warning for warning in found.warnings)
     load = next(cause for cause in result["causes"] if cause["effect"] == "payload")
     assert load["parameters"]["mass"] == pytest.approx(0.2, rel=0.1)
     assert not any(cause["effect"] == "torque_constant" for cause in result["causes"])

@@ -129,17 +129,17 @@ def _fitted(
         return fit_output_error(arm, reference, stretches, file, begin, fine, progress)
 
     soft, firm = fitted(free), fitted(free.holding())
-    first = firm if _gains(soft, firm).sum() > chance else soft
-    nearest = np.inf
+    bare = firm if _gains(soft, firm).sum() > chance else soft
+    held, nearest = _loaded(bare, reference, progress, known_kp), np.inf
     for of_file in (True, False):
-        numbers = replace(file, delay=first.numbers.delay) if of_file else first.numbers
-        if (narrower := _nearest(first, numbers, stretches)) == np.inf:
+        numbers = replace(file, delay=bare.numbers.delay) if of_file else bare.numbers
+        if (narrower := _nearest(bare, numbers, stretches)) == np.inf:
             continue
         cut = [stretch.cut(narrower) for stretch in stretches]
-        again = fit_output_error(first.simulator, reference, cut, file, numbers, fine, progress)
-        if _gains(first, again).sum() > chance:
-            first, nearest = again, narrower
-    held = _loaded(first, reference, progress, known_kp)
+        again = fit_output_error(bare.simulator, reference, cut, file, numbers, fine, progress)
+        loaded = _loaded(again, reference, progress, known_kp)
+        if _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
+            bare, held, nearest = again, loaded, narrower
     if len(ways) == 1:
         return held, "", 0.0
     # a held command is late by half a frame in the middle
