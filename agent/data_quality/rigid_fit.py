@@ -27,7 +27,6 @@ _PRIOR_WEIGHT = 10.0  # independent samples that the sizes of parameters count f
 _DOUBT = 2.5  # standard deviation of a parameter, relative to the largest that the torques could hold
 _LINK_RADIUS = 0.5  # of the reach: the size of such a link
 SAMPLES_PER_PARAMETER = 4.0  #: independent samples: a shorter log does not distinguish a mistake from chance
-_SPRING = (1, 2, 3)  # powers of a position: hoses harden, or are slack up to some angle
 _LEAST = 1e-10  # squared error of a joint, relative to its torque, below which round-off begins
 
 
@@ -131,15 +130,11 @@ class RigidFit:
         self.precision = self._sizes() ** -2 * _PRIOR_WEIGHT * s.rows_each if precision is None else precision
 
     def sprung(self, joint: int) -> RigidFit:
-        """The same with a spring at a joint (from 0), as a hose is: a polynomial of its position."""
-        s, sprung = self.samples, copy.copy(self)
-        position = (s.q[:, joint] - s.q[:, joint].mean()) / max(float(np.ptp(s.q[:, joint])), 1e-9)
-        columns = np.zeros((*s.q.shape, len(_SPRING)))
-        columns[:, joint] = position[:, None] ** _SPRING
-        columns = columns if s.braked is None else columns * ~s.braked[:, :, None]
-        sprung.columns = np.concatenate([self.columns, columns], axis=2)
-        size = self.precision[joint - self.robot.dof]  # as of the joint's offset
-        sprung.precision = np.append(self.precision, np.full(len(_SPRING), size))
+        """The same with a spring at a joint (from 0), as a hose is."""
+        position, sprung, offset = self.samples.q[:, joint], copy.copy(self), joint - self.robot.dof
+        bend = (position - position.mean()) / max(float(np.ptp(position)), 1e-9)
+        sprung.columns = np.concatenate([self.columns, self.columns[:, :, [offset]] * bend[:, None, None]], axis=2)
+        sprung.precision = np.append(self.precision, self.precision[offset])
         return sprung
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
