@@ -157,8 +157,11 @@ def test_stops_an_arm_that_cannot_be_watched(attack, wire, name):
 @pytest.mark.parametrize("wire", ["tcp", "ur"])
 def test_stops_an_arm_whose_samples_freeze(attack, wire):
     """Within 0.7 s by the controller's clock, the way there and back included."""
-    one = attack(wire, ATTACKS["frozen"], 0.0)
-    assert_stopped(one, "frozen")
+    for _ in range(3):  # a busy computer may lose the link before the arm sets out, which says nothing about freezing
+        one = attack(wire, ATTACKS["frozen"], 0.0)
+        assert_stopped(one, "frozen")
+        if one.controller.motions_started:
+            break
     assert "positions" in one.errors
     assert 0.0 < one.faults.stopped - one.faults.struck <= patience(0.7)
 
