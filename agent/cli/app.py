@@ -354,6 +354,7 @@ def import_(
 
 
 @app.command(
+    cls=opt.Emulator,
     rich_help_panel=opt.TOOLS,
     context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []},
 )

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import glob
+import re
+import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -19,6 +22,24 @@ def effects(incomplete: str) -> list[str]:
     from agent.model import CATALOGUE
 
     return _starting((effect.name for effect in CATALOGUE.built_in), incomplete)
+
+
+def efforts(incomplete: str) -> list[str]:
+    """What the effort of a log may be."""
+    from agent.recording import EFFORTS
+
+    return _starting(EFFORTS, incomplete)
+
+
+def emulator(words: list[str], incomplete: str) -> list[str]:
+    """Options of the emulator after these words, or values of the last one; it is another program, and says them."""
+    called = [sys.executable, "-m", "fake_controller", "--help"]
+    usage = subprocess.run(called, capture_output=True, text=True, check=False).stdout
+    values = dict(re.findall(r"(--[a-z-]+)(?: \{([^}]*)\})?", usage.partition("\n\n")[0]))
+    option = words[-1] if words else ""
+    if option == "--robot":
+        return robots(incomplete)
+    return _starting((values[option] or "").split(",") if values.get(option) else values, incomplete)
 
 
 def estimators(incomplete: str) -> list[str]:

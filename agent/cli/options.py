@@ -32,6 +32,16 @@ class Diagnose(TyperCommand):
         super().format_help(ctx, formatter)
 
 
+class Emulator(TyperCommand):
+    """Passes its options to another program, which Tab asks for them."""
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Options of the emulator, or values of the last one."""
+        from click.shell_completion import CompletionItem
+
+        return [CompletionItem(word) for word in completion.emulator(ctx.args, incomplete)]
+
+
 def _print_all_help(context: typer.Context, wanted: bool) -> None:
     if wanted:
         command: Any = context.command
@@ -56,7 +66,10 @@ Topic = Annotated[
 Effort = Annotated[
     str | None,
     Option(
-        "--effort", metavar="WHAT", help="what the logs' effort is: current, torque, torque-without-gravity or load"
+        "--effort",
+        metavar="WHAT",
+        help="what the logs' effort is: current, torque, torque-without-gravity or load",
+        autocompletion=completion.efforts,
     ),
 ]
 RunsFolder = Annotated[Path, Option("--logs", metavar="DIR", help="folder of the runs")]

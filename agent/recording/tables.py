@@ -19,6 +19,7 @@ from agent.recording.text_tables import CELL, MOST_CELLS, ColumnTable, Row, chec
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256
 _MAT_HEADER, _MAT_TAG, _MAT_COMPRESSED = 128, 8, 15  # bytes, bytes, data type
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 _PIECE = 2**20  # bytes
 #: From this mark of MATLAB 7.3 on, a variable is an object of a class.
 _OBJECT = 2
@@ -49,6 +50,7 @@ def read_table(path: Path) -> ColumnTable:
         raise InputError(f"{path}: not a readable {kind} file: {error}") from None
     except Exception as error:  # libraries raise whatever a damaged file leads them to
         advice = "; save plain arrays, not objects: np.savez(file, t=t, q=q)" if "pickle" in str(error) else ""
+        advice += "; in MATLAB or Octave, save it with: save -v7 FILE.mat" if kind == "MAT" else ""
         raise InputError(f"{path}: not a readable {kind} file: {error}{advice}") from None
     if not any(len(column) for column in table.columns.values()):
         raise InputError(f"{path}: no columns of numbers in it")
@@ -138,6 +140,9 @@ def _ascii(text: Any) -> str:
 def _read_mat(path: Path) -> ColumnTable:
     from scipy.io import loadmat
 
+    with open_regular(path) as file:
+        if file.read(len(_HDF5)) == _HDF5:  # of another tool than MATLAB, whose header comes first
+            return _read_hdf5(path)
     _check_mat(path)
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)

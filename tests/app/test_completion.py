@@ -32,6 +32,9 @@ def _completed(line: str, cwd) -> list[str]:
     [
         ("agent export model.json --load u", {"ur"}),
         ("agent estimate --method pa", {"paper"}),
+        ("agent estimate --effort tor", {"torque", "torque-without-gravity"}),
+        ("agent emulator --robot ur5e --c", {"--clock"}),
+        ("agent emulator --driver u", {"ur"}),
         ("agent init --driver ", set(registry.available())),
         ("agent diagnose --without gravity", {"gravity_spring"}),
         ("agent check ", {"cell.yaml", "folder/"}),

@@ -257,6 +257,14 @@ def test_reads_hdf5_files(taken, tmp_path):
     content = (tmp_path / "run.mat").read_bytes()
     (tmp_path / "run.mat").write_bytes(head + content[len(head) :])
     _same(taken(tmp_path / "run.mat", mapping)[0])
+    (tmp_path / "run.h5").rename(tmp_path / "bare.mat")  # of h5py: without MATLAB's header
+    _same(taken(tmp_path / "bare.mat", mapping)[0])
+
+
+def test_names_how_to_save_a_mat_file_that_is_text(taken, tmp_path):
+    (tmp_path / "run.mat").write_text("# Created by Octave 8.4.0\n# name: q\n# type: matrix\n" + _lines(" "))
+    with pytest.raises(InputError, match=r"save -v7 FILE\.mat"):
+        taken(tmp_path / "run.mat", VECTORS)
 
 
 @pytest.mark.parametrize(("ending", "module"), [("xlsx", "openpyxl"), ("h5", "h5py")])
