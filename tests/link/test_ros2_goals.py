@@ -1,10 +1,11 @@
 """Goals of the ROS 2 driver: what is sent by control_msgs and what comes back, with types of the same fields.
 
-No wheel has control_msgs, so these types are written by hand, by control_msgs 5.8 (Jazzy). Nothing here ran on the real
-ones.
+No wheel has control_msgs, so these types are written by hand, by control_msgs 5.8 (Jazzy). `tests/ros2` sends goals of
+the real ones where they are installed.
 """
 
 import sys
+from threading import Lock
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
@@ -65,8 +66,12 @@ class Future:
             heard(self)
 
 
+#: Held while an executor handles answers.
+SENDING = Lock()
+
+
 class Server:
-    """The far end of an action client."""
+    """The far end of an action client. It may answer before the client has noted the goal."""
 
     def __init__(self, *_):
         self.goals, self.answer, self.end = [], Future(), Future()
@@ -75,6 +80,7 @@ class Server:
         return True
 
     def send_goal_async(self, goal):
+        assert SENDING.locked()
         self.goals.append(goal)
         return self.answer
 
@@ -93,7 +99,7 @@ def link(monkeypatch):
         vars(module).update(types)
         monkeypatch.setitem(sys.modules, package, module)
         monkeypatch.setitem(sys.modules, package.partition(".")[0], ModuleType(package.partition(".")[0]))
-    node = SimpleNamespace(commands=lambda target: None, node=None, close=lambda: None)
+    node = SimpleNamespace(commands=lambda target: None, node=None, sending=SENDING, close=lambda: None)
     monkeypatch.setattr(links, "Ros", lambda domain, name: node)
     monkeypatch.setattr(RosLink, "_work", lambda self: self._closing.wait())
     found = RosLink(RosAddress.of("ros2://0/ns/arm"), 0.1, *[lambda *_: None] * 4)

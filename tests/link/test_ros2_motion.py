@@ -1,6 +1,7 @@
 """The ROS 2 driver's motion without ROS: the emulated controller at the other end, in simulated time."""
 
 import json
+from collections import deque
 
 import numpy as np
 import pytest
@@ -62,6 +63,7 @@ class Arm:
         self.offset = self._off = np.zeros(2)  # where it is asked to be, and where a joint of 5 rad/s is by now
         self.noise = lambda: 0.0
         self.believed, self.doubt = Believed(), "a joint jumps"
+        self.states = deque(maxlen=8)
         self.sent, self.brakes, self.cancels = [], [], 0
         self.deaf = self.answers_nothing = False
         self.motion = None
@@ -100,14 +102,18 @@ class Arm:
             self.position = command - self.lag * rate
             self.speed = (self.position - before) / PERIOD
             sample = self.sample()
-            if states:
-                self.motion.state(SetPoint(self.now, command, rate, self.controller.scaling))
             self.motion.sample(sample, self.now + self.delay)
+            if states:
+                self.set_point(command, rate)
+                self.motion.state(self.states[-1])
             self.motion.poll()
             while reading and self.motion.size > 4000:
                 self.kept.append(next(self._reader))
             if until_over and self.motion.over:
                 return
+
+    def set_point(self, command, rate):
+        self.states.append(SetPoint(self.now, command, rate, self.controller.scaling))
 
     # As the driver sees it
 
@@ -162,6 +168,7 @@ def blocks_of(arm):
 @BOTH
 def test_goals_are_sent_in_turn_each_when_the_arm_rests(by_goal):
     arm = Arm(by_goal, (0.1, -0.1))
+    arm.set_point(arm.position, arm.speed)  # they come all the time
     motion = arm.run_program(HEADER + TO + goal(cycles=3))
     arm.run(20.0, states=True, until_over=True)
     assert motion.over
@@ -173,6 +180,7 @@ def test_goals_are_sent_in_turn_each_when_the_arm_rests(by_goal):
     assert np.array_equal(sequence, np.arange(len(sequence)))
     assert np.allclose(np.diff(np.concatenate([block.time for block in blocks])), PERIOD, rtol=1e-3)
     assert not motion.sequencer.gaps
+    assert np.array_equal(np.concatenate([block.reference_position for block in blocks])[-1], (0.0, 0.0))
     for (_, points), (_, before) in zip(arm.sent[1:], arm.sent[:-1], strict=True):
         assert points[0][0] >= 0.2
         assert np.array_equal(points[0][1], before[-1][1])

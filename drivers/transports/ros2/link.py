@@ -67,7 +67,8 @@ class RosLink(LinkThread):
         self.believed = Believed()
         self._doubted = -math.inf, 0.0  # when a sample came last that is not believed, and its jump
         self.simulated = False  # whether the controller's time is
-        self.scaling: float | None = None  # of the newest set-point
+        self.states: deque[SetPoint] = deque(maxlen=8)  # the newest
+        self.scaling: float | None = None  # of the newest of them
         self.description = b""
         self.joints: tuple[str, ...] = ()
         #: Stamps and ages of the last seconds; the age is by our own clock that nobody sets, so only its changes count.
@@ -288,7 +289,8 @@ class RosLink(LinkThread):
 
         stamp = self.clock() + ahead
         set_time(goal.trajectory.header.stamp, stamp)
-        self._goals.send_goal_async(goal).add_done_callback(on_answer)
+        with self._ros.sending:
+            self._goals.send_goal_async(goal).add_done_callback(on_answer)
         return stamp
 
     def brake(self, strength: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> float:
@@ -354,6 +356,7 @@ class RosLink(LinkThread):
             self._fault = error
             return
         if state is not None:
+            self.states.append(state)
             self.scaling = state.scaling
             self._on_state(state)
 

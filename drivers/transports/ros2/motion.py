@@ -102,7 +102,7 @@ class Ros2Motion(SampleStream):
         self._least = np.inf  # age of a sample
         self._batch: list[tuple[int, JointSample, SetPoint | None]] = []
         self._waiting: deque[tuple[int, JointSample]] = deque()  # for their set-points
-        self._states: deque[SetPoint] = deque(maxlen=8)
+        self._states = link.states
 
     def begin(self) -> None:
         """Send the first goal.
@@ -190,7 +190,6 @@ class Ros2Motion(SampleStream):
 
     def state(self, state: SetPoint) -> None:
         """The next set-point."""
-        self._states.append(state)
         if self.over or self._phase == "idle":
             return
         if not abs(state.scaling - 1.0) <= 1e-6 and self._phase == "moving":
@@ -409,7 +408,7 @@ class Ros2Motion(SampleStream):
             if newest < sample.stamp - self._period / 2 and len(self._waiting) < 50:
                 return
             self._waiting.popleft()
-            nearest = min(self._states, key=lambda state: abs(state.stamp - sample.stamp))
+            nearest = min(tuple(self._states), key=lambda state: abs(state.stamp - sample.stamp))
             self.unmatched += abs(nearest.stamp - sample.stamp) > self._period
             self._batch.append((number, sample, nearest))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -65,13 +66,16 @@ class Ros:
         self._polled: list[tuple[Any, Any, Callable[[bytes], None]]] = []
         self._executor, self._answers_due = SingleThreadedExecutor(context=self.context), 0.0
         self._executor.add_node(self.node)
+        #: rclpy loses the answer to a goal that comes before the goal is noted: whoever sends one holds this.
+        self.sending = threading.RLock()
 
     def spin_once(self, timeout: float) -> None:
         """Handle all messages that come within `timeout` [s], and an answer, where one is there."""
         time.sleep(timeout)
         if time.monotonic() >= self._answers_due:
             self._answers_due = time.monotonic() + _ANSWERS
-            self._executor.spin_once(timeout_sec=0.0)
+            with self.sending:
+                self._executor.spin_once(timeout_sec=0.0)
         for subscription, kind, take in self._polled.copy():
             for _ in range(DEPTH):
                 taken = subscription.handle.take_message(kind, True)
