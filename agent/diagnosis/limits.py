@@ -60,7 +60,7 @@ class DecisionLimits:
         1.1,
         "another error",
         "up to which two errors are alike: a gap and its repeatability, what two corrections leave, how far two "
-        "simulators drift",
+        "simulators drift, gains of a servo that positions tell",
         _CONTRACT,
     )
     usual_error: float = known(

@@ -28,7 +28,7 @@ from agent.diagnosis.simulator_file.released_numbers import (
     causes_of_numbers,
     released_fit,
 )
-from agent.diagnosis.simulator_file.servo_table import differing
+from agent.diagnosis.simulator_file.servo_table import differing, doubtful_gains
 from agent.diagnosis.verdict import (
     Verdict,
     causes_of,
@@ -122,7 +122,9 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
         explanation.as_given.closure or 0.0,
     )
     causes = causes_of(explanation.dataset, explanation.selected, gap)
-    numbers = causes_of_numbers(explanation.released, explanation.selected, explanation.as_given)
+    numbers = causes_of_numbers(
+        explanation.released, explanation.selected, explanation.as_given, doubtful_gains(explanation)
+    )
     if explanation.dataset.servos is not None:
         whole = causes_of(explanation.dataset, explanation.selected, explanation.as_given)
         pairs = zip(whole, causes, strict=True)

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.fitting import (
     USUAL_DELAY,
@@ -120,7 +121,8 @@ def _as_given(fit: OutputErrorFit) -> np.ndarray:
 
 
 def _expected_error(fit: OutputErrorFit) -> np.ndarray:
-    """(n,) [rad or m] what is expected of a right file: the rounding of positions, and a share of the torque.
+    """(n,) [rad or m] what is expected of a right file: the rounding of positions, a share of the torque, and friction
+    of another day.
 
     The share is that of the joint in the middle, as with torque (`expected_share`).
     """
@@ -129,7 +131,8 @@ def _expected_error(fit: OutputErrorFit) -> np.ndarray:
     rows = [stretch.averaged(residual) for stretch, residual in zip(fit.stretches, fit.residuals, strict=True)]
     residual = np.sqrt(np.maximum(np.mean(np.concatenate(rows) ** 2, axis=0) - rounding**2, 0.0))
     share = LIMITS.expected_share(residual / twist)
-    return np.hypot(rounding, share * twist)
+    daily = LAW.daily * fit.numbers.friction / np.maximum(fit.numbers.kp, 1e-9)
+    return np.sqrt(rounding**2 + (share * twist) ** 2 + daily**2)
 
 
 def _rounding(fit: OutputErrorFit) -> np.ndarray:

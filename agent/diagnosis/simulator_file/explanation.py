@@ -8,7 +8,8 @@ Three explanations are compared, the simplest first. The numbers are right and o
 and rotors are moved, with effects; or links are moved too. The first that stands against those that move more numbers
 is taken (`Explanation.stands`): it leaves hardly more, or no more at all where its effects may replace a change of
 links. With links, numbers are chosen in two ways, and the one that leaves less is taken: without an effect, or with the
-effects that are found while all numbers are free, as numbers chosen without an effect move in its stead.
+effects that are found while all numbers are free, as numbers chosen without an effect move in its stead. Where
+positions are judged and numbers alone leave hardly more than any explanation, there is no effect.
 """
 
 from __future__ import annotations
@@ -182,16 +183,23 @@ def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str]
     if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).selected.causes)
-        searches.append(min(search(others), search(everything), key=lambda entry: entry.left))
+        searches.append(min(search(others), search(everything), key=_left))
     best = min(entry.left for entry in searches)
     single = [
         k for k, entry in enumerate(searches[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
     ]
     chosen = next((searches[k] for k in single if searches[k].stands(best, enough)), searches[-1])
+    if dataset.servos is not None:
+        by_numbers = min((entry for entry in searches if not entry.selected.causes), key=_left, default=chosen)
+        chosen = by_numbers if by_numbers.left <= LIMITS.alike * best else chosen
     for number in range(len(chosen.selected.causes)):
         if numbers_instead(chosen, number, unit) is not None:
             chosen = replace(chosen, selected=chosen.selected.with_rival(number, (_LINKS, ())))
     return chosen
+
+
+def _left(entry: Explanation) -> float:
+    return entry.left
 
 
 def _search_with(

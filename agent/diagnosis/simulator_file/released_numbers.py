@@ -28,7 +28,6 @@ from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
-_GAIN_KNOWN = 0.1  # of a servo's gain, standard deviation from where on positions do not tell it
 #: The remaining gap, as the last step.
 REMAINDER = "remainder"
 #: Kinds of groups of servos.
@@ -324,20 +323,6 @@ def _load(released: ReleasedSimulator) -> dict[str, float]:
     return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}
 
 
-def doubtful_gains(dataset: Dataset) -> tuple[int, ...]:
-    """Joints whose servo gain positions do not tell: another gain is another load, friction and rotor together.
-
-    Everything over kp alone shows; known masses under gravity set its scale. All numbers are free in that.
-    """
-    if (servos := dataset.servos) is None or servos.kp_known:
-        return ()
-    free = released_fit(dataset, groups_of(dataset))
-    covariance, _ = free.solve(np.ones(free.cells, dtype=bool))
-    first, n = len(dataset.model.values), len(servos.kp)
-    deviation = np.sqrt(np.diag(covariance)[first : first + n])
-    return tuple(np.flatnonzero(deviation > _GAIN_KNOWN * servos.kp).tolist())
-
-
 def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candidate], gap: HeldOutGap) -> float | None:
     """What a group closes of its own joint's error that all others leave; None where torque is judged."""
     if released.given.servos is None or group.joint < 0:
@@ -346,9 +331,12 @@ def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candid
     return gap.closure_on((group.joint,), others.out_of_fold(others.transient))
 
 
-def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap) -> tuple[Cause, ...]:
+def causes_of_numbers(
+    found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap, doubtful: Collection[int] = ()
+) -> tuple[Cause, ...]:
     """The released groups in the vocabulary of effects, what closes most first.
 
+    Of joints with `doubtful` gains, another gain is another friction.
     As of every cause, what it closes is what is lost when these numbers alone stay as the file has them and everything
     else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
     simulator as given.
@@ -358,7 +346,7 @@ def causes_of_numbers(found: ReleasedSimulator, selected: SelectedCauses, gap: H
     probability = LAW.certain * min(gap.closure or 0.0, 1.0)
     load = _load(found)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
-    doubtful, causes = doubtful_gains(found.given), list[Cause]()
+    causes = list[Cause]()
     # gains of several servos at once are as well a load that all of them carry
     several = sum(group.kind == GAIN for group in found.groups) > 1
     like_load = (EffectPlace(called["load"], ()),) if several else ()

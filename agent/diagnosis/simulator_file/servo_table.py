@@ -17,7 +17,6 @@ from agent.diagnosis.simulator_file.released_numbers import (
     DELAY,
     GAIN,
     Group,
-    doubtful_gains,
     drive_groups,
     released_fit,
 )
@@ -29,6 +28,18 @@ SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
 #: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
 _NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay_s",)}
 _RATIOS = ("damping", "armature", "friction")
+
+
+def doubtful_gains(found: Explanation) -> tuple[int, ...]:
+    """Joints whose servo gain positions do not tell: another gain is another friction, damping and rotor together.
+
+    Everything over kp shows; known masses under gravity set its scale, and where they are weak, the model's own error
+    does. Gains that the interval allows have to be alike. None where torque is judged.
+    """
+    if found.dataset.servos is None:
+        return ()
+    values, low, high = _intervals(found, np.asarray)
+    return tuple(np.flatnonzero(high[0] - low[0] > 2 * (LIMITS.alike - 1) * values[0]).tolist())
 
 
 def servo_table(found: Explanation) -> dict[str, Any]:
@@ -45,7 +56,7 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     dataset, names = found.dataset, found.dataset.robot.joint_names
     servos = dataset.servos
     assert servos is not None
-    doubtful = doubtful_gains(dataset)
+    doubtful = doubtful_gains(found)
     values, low, high = _intervals(found, np.asarray)
     of_step = 0.5 * servos.step * values[1]
     less = {"delay_s": np.full(len(names), min(servos.later, 0.0)), "armature": -of_step}
@@ -90,7 +101,7 @@ def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
     """
     dataset, names = found.dataset, found.dataset.robot.joint_names
     assert dataset.servos is not None
-    doubtful, file = doubtful_gains(dataset), dataset.servos.file
+    doubtful, file = doubtful_gains(found), dataset.servos.file
     usual = LIMITS.least_error * _whole_torque(dataset)
 
     def holds(form: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
