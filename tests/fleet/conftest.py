@@ -23,9 +23,10 @@ pytest.importorskip("distributed", reason="needs the extra [fleet]")
 @pytest.fixture
 def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """`command(*arguments)` runs the agent here, tasks one after the other; its JSON where `--json` is among them."""
-    from agent.core import on_dask, parallel
+    from agent import core
 
-    monkeypatch.setattr(on_dask, "DaskEngine", lambda *_: parallel.InProcess())
+    # what the command line imports: the package keeps what it has loaded once, so the module is not asked again
+    monkeypatch.setattr(core, "DaskEngine", lambda *_: core.InProcess())
 
     def run(*arguments: object) -> Any:
         capsys.readouterr()
