@@ -198,6 +198,14 @@ class NamesEndpoints(Protocol):
 
 
 @runtime_checkable
+class DescribesRobot(Protocol):
+    """A driver whose controller describes its robot."""
+
+    def description(self) -> str:
+        """A URDF, as it came. Allowed at any time, as `status` is."""
+
+
+@runtime_checkable
 class BoundsMotion(Protocol):
     """A driver whose arm rests by itself within a known time, whoever is gone: `Identity.unguarded` says so.
 

@@ -75,6 +75,7 @@ class State(BaseModel):
 
 
 def home(robot: RobotDescription) -> np.ndarray:
-    """(n,) where a robot stands when it is switched on: its calibration pose, or zero within its limits."""
+    """(n,) where a robot stands when it is switched on: its calibration pose, or zero clear of its limits."""
     lower, upper = robot.position_limits
-    return _CALIBRATION_POSE.get(robot.name, np.clip(np.zeros(robot.dof), lower, upper))
+    clear = np.minimum(0.1, (upper - lower) / 10)  # rad, m: a joint that stands on its limit is measured beyond it
+    return _CALIBRATION_POSE.get(robot.name, np.clip(np.zeros(robot.dof), lower + clear, upper - clear))

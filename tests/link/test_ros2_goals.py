@@ -74,10 +74,13 @@ class Server:
     """The far end of an action client. It may answer before the client has noted the goal."""
 
     def __init__(self, *_):
-        self.goals, self.answer, self.end = [], Future(), Future()
+        self.goals, self.answer, self.end, self.there = [], Future(), Future(), True
 
     def server_is_ready(self):
         return True
+
+    def destroy(self):
+        self.there = False
 
     def send_goal_async(self, goal):
         assert SENDING.locked()
@@ -159,6 +162,12 @@ def test_a_refused_goal_has_no_end(link):
     _, _, heard = sent(link)
     link._goals.accept(False)
     assert heard == [False]
+
+
+def test_a_closed_link_is_no_commander_any_more(link):
+    client = link._goals
+    link.close()
+    assert not client.there
 
 
 def test_without_the_types_no_goal_is_sent(link, monkeypatch):

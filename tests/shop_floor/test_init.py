@@ -12,10 +12,12 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from agent.core import AgentError
+from agent.core import AgentError, InputError
 from agent.pipeline.setup.init import schema_text, write_recipe
 from agent.recipe import load_recipe
+from agent.robot import load_robot
 from agent.runs import make_folder
+from drivers.errors import DriverError
 from tests.conftest import ROOT, environment
 from tests.shop_floor.conftest import agent
 
@@ -48,6 +50,64 @@ def test_a_recipe_fits_its_driver(tmp_path: Path, driver: str, address: str):
     controller = load_recipe(path).controller
     assert (controller.driver, controller.address) == (driver, address)
     assert controller.effort == ("torque" if driver == "ros2" else None)
+
+
+class Controller:
+    """What describes its arm, a tx40, with `joints` in its own order."""
+
+    def __init__(self, joints, text, failure=None):
+        self.joints, self.text, self.failure, self.closed = joints, text, failure, False
+
+    def connect(self):
+        if self.failure is not None:
+            raise self.failure
+
+    def identify(self):
+        return Mock(robot="staubli tx40", joint_names=self.joints)
+
+    def description(self):
+        return self.text
+
+    def close(self):
+        self.closed = True
+
+
+TX40 = (ROOT / "recipes/examples/tx40/tx40.urdf").read_text(encoding="utf-8")
+TX40_JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
+AT = {"driver": "ros2", "controller": "ros2://0/arm"}
+
+
+def init_at(controller, folder: Path, monkeypatch):
+    monkeypatch.setattr("agent.pipeline.setup.init.create", lambda name, address: controller)
+    return write_recipe(folder / "cell.yaml", AT)
+
+
+def test_a_controller_describes_the_robot_of_its_recipe(tmp_path: Path, monkeypatch):
+    controller = Controller(TX40_JOINTS, TX40)
+    recipe = load_recipe(init_at(controller, tmp_path, monkeypatch))
+    assert controller.closed
+    robot, own = recipe.robot, load_robot(ROOT / "recipes/examples/tx40/robot.yaml")
+    assert (robot.name, robot.joint_names) == ("staubli tx40", own.joint_names)
+    assert np.array_equal(robot.position_limits, own.position_limits)
+    assert np.array_equal(robot.max_acceleration, robot.max_velocity)
+    with pytest.raises(InputError, match=r"staubli_tx40.urdf: exists already.*name yours with --robot"):
+        write_recipe(tmp_path / "other.yaml", AT)
+
+
+@pytest.mark.parametrize(
+    ("controller", "why"),
+    [
+        (Controller(TX40_JOINTS[::-1], TX40), "has the joints joint_6, .*; its URDF has joint_1, "),
+        (Controller(("rail",), TX40), "none of its joints is in the logs|none of its joints moves"),
+        (Controller(TX40_JOINTS, "<robot"), "not valid XML"),
+        (Controller(TX40_JOINTS, TX40, DriverError("nobody is there")), "nobody is there. .*name your robot with"),
+    ],
+)
+def test_a_robot_that_is_not_described_is_said_and_nothing_is_written(tmp_path, monkeypatch, controller, why):
+    with pytest.raises((InputError, DriverError), match=why):
+        init_at(controller, tmp_path, monkeypatch)
+    assert controller.closed
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -135,7 +135,8 @@ class JointTrajectoryLaw:
         if spline.duration > LONGEST + 1e-6:
             text = (
                 f"statement {first + 1}: {spline.duration:.1f} s of motion without a stop; {LONGEST:g} s are allowed, "
-                "as the arm goes on to the end when nobody is there any more: move faster, or a shorter way"
+                "as the arm goes on to the end when nobody is there any more: move faster, or a shorter way. If it is "
+                "the way to the first point, move the arm nearer by hand"
             )
             raise MotionError(text, first, "duration", spline.duration / LONGEST - 1.0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -12,7 +13,10 @@ from agent.excitation import working_box
 from agent.recipe import BARE_ANGLE, BARE_LEAN, BARE_PLACE, BARE_REACH, USUAL, load_recipe, recipe_schema, template
 from agent.robot import builtin_robots, load_robot
 from agent.runs import check_output
-from drivers.registry import available
+from agent.simulators import load_arm
+from drivers.errors import DriverError
+from drivers.protocol import DescribesRobot
+from drivers.registry import available, create
 
 #: Next to the recipe; editors with a YAML language server read it.
 SCHEMA = "recipe.schema.json"
@@ -38,13 +42,17 @@ _QUANTITIES = {
 def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
     """Write a commented recipe and the schema next to it; asks on a terminal for what is not `given`.
 
+    Where no robot is given and the controller describes its own, that description is written next to the recipe too.
+
     Raises:
-        InputError: the file exists, its folder does not, or a given value is wrong.
+        InputError: a file exists, its folder does not, or a given value is wrong.
+        DriverError: the controller that should describe its robot does not answer.
     """
     if path.exists():
         raise InputError(f"{path}: exists already; name another file, or move it away")
     check_output(path, ())
     on_terminal = sys.stdin.isatty() and sys.stderr.isatty()
+    given = given | {"robot": given.get("robot") or _robot_there(path.parent, given)}
     answers: dict[str, str] = {}
     box: dict[str, str] | None = None
     for name, words in _QUESTIONS.items():
@@ -70,6 +78,57 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
         raise
     write_atomically(path.parent / SCHEMA, schema_text())
     return path
+
+
+def _robot_there(folder: Path, given: dict[str, str | None]) -> str | None:
+    """The description of the robot that the given controller drives, written to the folder as it says; None where it
+    is not given, or drives no robot that it could describe."""
+    name, address = given.get("driver"), given.get("controller")
+    if name is None or address is None or name not in available():
+        return None
+    driver = create(name, address)
+    if not isinstance(driver, DescribesRobot):
+        return None
+    try:
+        driver.connect()
+        identity, text = driver.identify(), driver.description()
+    except DriverError as error:
+        raise type(error)(
+            f"{error}. To write the recipe without the controller, name your robot with --robot"
+        ) from None
+    finally:
+        driver.close()
+    stem = re.sub(r"[^A-Za-z0-9]+", "_", identity.robot).strip("_") or "arm"
+    urdf, described = folder / f"{stem}.urdf", folder / f"{stem}.yaml"
+    for path in (urdf, described):
+        if path.exists():
+            raise InputError(f"{path}: exists already, and {address} describes its robot; name yours with --robot")
+    write_atomically(urdf, text)
+    try:
+        arm = load_arm(urdf, identity.joint_names)
+        if arm.joint_names != identity.joint_names:
+            joints = f"{', '.join(identity.joint_names)}; its URDF has {', '.join(arm.joint_names)} from base to tip"
+            raise InputError(f"{address} has the joints {joints}: write a robot.yaml for it (docs/how-to-robot.md)")
+    except InputError:
+        urdf.unlink()
+        raise
+    joints = "".join(
+        f"  - {{name: {json.dumps(joint.name)}, max_velocity: {joint.max_velocity:g}, "
+        f"max_acceleration: {joint.max_velocity:g}}}\n"
+        for joint in arm.joints
+    )
+    write_atomically(
+        described,
+        f"""# As {address} describes it. Speeds [rad/s] are those of the URDF; accelerations [rad/s\u00b2]
+# reach them in a second. The controller checks neither: replace them by those that you allow.
+name: {json.dumps(identity.robot)}
+urdf: {urdf.name}
+tip_frame: {json.dumps(arm.tip_frame)}
+joints:
+{joints}""",
+    )
+    print(f"{described}: the robot as {address} describes it; check its speeds and accelerations", file=sys.stderr)
+    return str(described)
 
 
 def schema_text() -> str:

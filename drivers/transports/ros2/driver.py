@@ -142,6 +142,10 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             unguarded=f"if this computer dies, the arm ends its cycle, at most {LONGEST:g} s",
         )
 
+    def description(self) -> str:
+        """`DescribesRobot`: by robot_state_publisher."""
+        return self._connected().description.decode("utf-8", "replace")
+
     def status(self) -> Status:
         """What the samples say; ROS 2 has no common word for modes, drives and stops, so a person confirms them."""
         link = self._connected()

@@ -315,6 +315,9 @@ class RosLink(LinkThread):
     def close(self) -> None:
         """End the link and its thread; never raises."""
         super().close()
+        with contextlib.suppress(Exception):  # a context that has ended
+            if self._goals:
+                self._goals.destroy()  # or it is seen, and taken for another commander's, as long as this process lives
         self._ros.close()
 
     # In the thread
