@@ -22,20 +22,20 @@ from tests.blind_check.tiny_world import TinyWorld
 from tests.conftest import ROOT
 
 QUIET = Console(verbosity=-1)
-RUNS = 3
+RUNS = 2
 
 
 class FewRuns(EmulatorWorld):
-    """Of five runs those that are quick to simulate, and of every kind."""
+    """Of five runs the ones that are quick to simulate."""
 
     def draw(self, count: int, seed: int, laws: str) -> list[dict[str, Any]]:
         drawn = super().draw(5, seed, laws)
-        return [{**drawn[which], "number": number} for number, which in enumerate((0, 1, 4))]
+        return [{**drawn[which], "number": number} for number, which in enumerate((0, 4))]
 
 
 @pytest.fixture(scope="module")
 def check(arm: str, tmp_path_factory) -> BlindCheck:
-    """Three short runs of two joints, done: one without an effect, one with one, and one with two."""
+    """Two short runs of two joints, done: one without an effect, and one with two."""
     folder = tmp_path_factory.mktemp("blind")
     world = FewRuns({"robot": arm, "cycle": 1.6})
     whole = BlindCheck(world, RUNS, folder / "check")
@@ -54,7 +54,7 @@ def test_runs_are_recorded_diagnosed_and_scored(check):
     assert all((one["withheld"] is not None) == (one["kind"] in ("one", "two")) for one in results)
     right = {"none": ("no gap",), "outside": ("unknown",)}
     right_ones = [one for one in results if one["outcome"] in right.get(one["kind"], ("named", "in class"))]
-    assert len(right_ones) >= 2
+    assert right_ones == results
     sizes = {run["run"]: run["size"] for run in key.runs}
     assert all((sizes[one["run"]] is None) == (one["kind"] == "none") for one in results)
     assert (check.folder / "blind_check.md").read_text().startswith("# WEDGE")

@@ -95,6 +95,7 @@ def test_ctrl_c_reaches_the_main_process_only():
         assert [done.answer for done in engine.map(struck, range(2))] == [0, 1]
 
 
+@pytest.mark.verify
 def test_a_search_on_dask_finds_the_same_loop():
     regions = ViaRegions.from_box(6, [1.0, 0.0, 1.0], [0.3] * 3, [0.0, np.pi, 0.0], 0.3)
     problem = LoopProblem(load_robot("comau_ns16"), regions, Pdl2Settings(linear_speed=0.5))
