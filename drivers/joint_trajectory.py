@@ -16,6 +16,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -85,6 +86,18 @@ class JointSpline:
         q[np.asarray(t >= self.t[-1])] = self.q[-1]  # to the last digit: a motion that begins there has no way to go
         qd = c1 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
         return q, qd, 2 * c2 + s * (6 * c3 + s * (12 * c4 + s * 20 * c5))
+
+    def position(self, t: float) -> np.ndarray:
+        """q (n,) of `at` at one time, in a tenth of its time: a guard asks for it at every sample."""
+        k = min(max(bisect_right(self._times, t) - 1, 0), len(self._times) - 2)
+        s = min(max(t, self._times[0]), self._times[-1]) - self._times[k]
+        q: np.ndarray = np.array((1.0, s, s**2, s**3, s**4, s**5)) @ self._coefficients[:, k]
+        return q
+
+    @cached_property
+    def _times(self) -> list[float]:
+        times: list[float] = self.t.tolist()
+        return times
 
     @cached_property
     def _coefficients(self) -> np.ndarray:

@@ -47,6 +47,9 @@ def test_the_law_is_the_quintic_through_position_velocity_and_acceleration(seed)
     for order, found in enumerate(spline.at(t)):
         wanted = other.derivative(order)(t) if order else other(t)
         assert np.abs(found - wanted).max() <= 1e-6 * (1 + np.abs(wanted).max())
+    late = np.append(t - 0.5, spline.duration + 0.5)
+    one_by_one = np.array([spline.position(each) for each in late.tolist()])
+    assert np.allclose(one_by_one, spline.at(late)[0], rtol=1e-9, atol=1e-9 * (1 + np.abs(one_by_one).max()))
 
 
 @settings(max_examples=50, deadline=None)

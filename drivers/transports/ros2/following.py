@@ -25,6 +25,10 @@ class Course:
         self.stamp, self._spline = stamp, points.after_rest_at(start)
         self.end, self.last = stamp + points.duration, points.q[-1]
 
+    def position(self, stamp: float) -> np.ndarray:
+        """Position (n,) at a stamp [s]."""
+        return self._spline.position(stamp - self.stamp)
+
     def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (n,) at a stamp [s]; stationary before and after."""
         position, velocity, _ = self._spline.at(stamp - self.stamp)

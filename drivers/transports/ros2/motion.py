@@ -253,7 +253,7 @@ class Ros2Motion(SampleStream):
     def _follow(self, sample: JointSample) -> None:
         course = self.course
         assert course is not None
-        off = np.abs(sample.position - course.at(sample.stamp)[0])
+        off = np.abs(sample.position - course.position(sample.stamp))
         if not np.all(off <= self._limit_off):
             joint = int(np.argmax(np.where(np.isfinite(off), off - self._limit_off, np.inf)))
             self.brake(
@@ -373,7 +373,7 @@ class Ros2Motion(SampleStream):
         course = self.course
         if course is None or sample.stamp >= course.end:
             return True
-        return not np.all(np.abs(course.at(sample.stamp)[0] - sample.position) <= _LEFT)
+        return not np.all(np.abs(course.position(sample.stamp) - sample.position) <= _LEFT)
 
     def _cancel(self) -> None:
         if not self._cancelled:
