@@ -21,10 +21,11 @@ from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.explanation import Explanation, beyond_usual, search_simulator, with_numbers
+from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
 from agent.diagnosis.simulator_file.released_numbers import (
     ReleasedSimulator,
     bends_of,
+    beyond_usual,
     causes_of_numbers,
     released_fit,
 )
@@ -139,7 +140,7 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
             if errs[[names.index(name) for name in cause.joints or names]].any()
         ]
         bent = rms(gap.beyond(released_fit(given, bends_of(given)).out_of_fold()))
-        return decide_by_position(sized, differ, gap.closure, bool(beyond_usual(bent, given.fit).any()))
+        return decide_by_position(sized, differ, gap.closure, bool((errs & beyond_usual(bent, given.fit)).any()))
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers)

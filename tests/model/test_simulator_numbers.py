@@ -14,7 +14,7 @@ from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, _possible, numbers_instead, with_expected_error
-from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, ReleasedSimulator, release
 from agent.diagnosis.verdict import named
 from agent.experiment import open_pairs
 from agent.model import CATALOGUE
@@ -193,6 +193,13 @@ def test_a_link_mass_alternative_is_listed_only_if_it_fits_as_well(effect, left,
 @pytest.mark.parametrize(("left", "stands"), [(0.105, True), (0.12, False)])
 def test_an_effect_where_gains_may_be_wrong_leaves_no_more_than_moved_numbers(left, stands):
     assert explaining(left, "stribeck", servos=object()).stands(best=0.1, enough=0.05) == stands
+
+
+def test_of_explanations_that_leave_as_much_the_delay_costs_nothing_and_an_effect_its_settings():
+    groups = [SimpleNamespace(kind=kind, directions=np.zeros((9, width))) for kind, width in ((DELAY, 1), (GAIN, 1))]
+    cause = SimpleNamespace(effect=CATALOGUE["stribeck"], names=("rise",), settings={"speed": 0.1, "shape": 1.0})
+    released, selected = SimpleNamespace(groups=groups), SimpleNamespace(causes=[cause])
+    assert Explanation(released, SimpleNamespace(), selected, SimpleNamespace()).parameters == 4
 
 
 @pytest.mark.parametrize(("rise", "possible"), [(0.2, True), (-0.2, False)])

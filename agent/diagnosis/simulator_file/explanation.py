@@ -9,7 +9,7 @@ and rotors are moved, with effects; or links are moved too. The first that stand
 is taken (`Explanation.stands`): it leaves hardly more, or no more at all where its effects may replace a change of
 links. With links, numbers are chosen in two ways, and the one that leaves less is taken: without an effect, or with the
 effects that are found while all numbers are free, as numbers chosen without an effect move in its stead. Where
-positions are judged and numbers alone leave hardly more than any explanation, there is no effect.
+positions are judged, the one with fewest parameters is taken: gains of servos imitate effects, and effects friction.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.diagnosis.document import Cause, WaterfallStep
-from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
+from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
@@ -33,6 +33,7 @@ from agent.diagnosis.simulator_file.released_numbers import (
     DELAY,
     GAIN,
     ReleasedSimulator,
+    beyond_usual,
     release,
     release_all,
     waterfall,
@@ -101,14 +102,16 @@ class Explanation:
         return self.left <= LIMITS.alike * best if like_load or of_servos else self.left - best <= enough
 
     @property
+    def parameters(self) -> int:
+        """How many numbers of the file move, but the delay, and parameters its effects have."""
+        moved = sum(group.directions.shape[1] for group in self.released.groups if group.kind != DELAY)
+        effects = [(cause, cause.effect.counted(cause.settings)) for cause in self.selected.causes]
+        return moved + sum(len(cause.names) + settings for cause, settings in effects)
+
+    @property
     def left(self) -> float:
         """Mean square over joints of the remaining error."""
         return float(np.mean(self.gap.after**2))
-
-
-def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
-    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`), of an error (n,) [rad or m]."""
-    return np.asarray(error >= LIMITS.usual_error * fit.sigma.min(axis=0))
 
 
 def _like_links(causes: Sequence[Candidate]) -> bool:
@@ -183,23 +186,18 @@ def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str]
     if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).selected.causes)
-        searches.append(min(search(others), search(everything), key=_left))
+        searches.append(min(search(others), search(everything), key=lambda entry: entry.left))
     best = min(entry.left for entry in searches)
     single = [
         k for k, entry in enumerate(searches[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
     ]
     chosen = next((searches[k] for k in single if searches[k].stands(best, enough)), searches[-1])
     if dataset.servos is not None:
-        by_numbers = min((entry for entry in searches if not entry.selected.causes), key=_left, default=chosen)
-        chosen = by_numbers if by_numbers.left <= LIMITS.alike * best else chosen
+        chosen = min((entry for entry in searches if entry.stands(best, enough)), key=lambda entry: entry.parameters)
     for number in range(len(chosen.selected.causes)):
         if numbers_instead(chosen, number, unit) is not None:
             chosen = replace(chosen, selected=chosen.selected.with_rival(number, (_LINKS, ())))
     return chosen
-
-
-def _left(entry: Explanation) -> float:
-    return entry.left
 
 
 def _search_with(
@@ -214,16 +212,22 @@ def _search_with(
     left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
     selected, gap = supported(moved, named(search.run()), unit)
-    errs = beyond_usual(gap.before * gap.unit, moved.fit) | (moved.servos is None)
     kept = [
-        k
-        for k, cause in enumerate(selected.causes)
-        if _possible(model, selected.fit, k) and errs[list(cause.joints) or slice(None)].any()
+        k for k in range(len(selected.causes)) if _possible(model, selected.fit, k) and _misses(moved, selected, gap, k)
     ]
     if len(kept) < len(selected.causes):
         selected = selected.only(kept) if kept else selected.without_causes(leaves_gap=True)
         selected, gap = supported(moved, selected, unit)
     return Explanation(released, search, selected, gap)
+
+
+def _misses(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap, number: int) -> bool:
+    """Whether positions err by more than a right file does on the joints of a cause without it, and without all."""
+    if dataset.servos is None:
+        return True
+    without = rms(gap.beyond(selected.fit.out_of_fold(selected.fit.transient, number)))
+    joints = list(selected.causes[number].joints) or slice(None)
+    return bool(beyond_usual(np.minimum(without, gap.before * gap.unit), dataset.fit)[joints].any())
 
 
 def with_numbers(verdict: Verdict, found: Explanation, numbers: Sequence[Cause]) -> Verdict:

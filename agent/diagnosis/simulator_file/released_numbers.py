@@ -331,6 +331,11 @@ def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candid
     return gap.closure_on((group.joint,), others.out_of_fold(others.transient))
 
 
+def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
+    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`), of an error (n,) [rad or m]."""
+    return np.asarray(error >= LIMITS.usual_error * fit.sigma.min(axis=0))
+
+
 def causes_of_numbers(
     found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap, doubtful: Collection[int] = ()
 ) -> tuple[Cause, ...]:
@@ -339,7 +344,7 @@ def causes_of_numbers(
     Of joints with `doubtful` gains, another gain is another friction.
     As of every cause, what it closes is what is lost when these numbers alone stay as the file has them and everything
     else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
-    simulator as given.
+    simulator as given. Numbers of positions without which a joint errs no more than a right file does close nothing.
     """
     model, names = found.given.model, found.given.robot.joint_names
     base, change = len(model.independent), found.moved.fit.change
@@ -354,9 +359,13 @@ def causes_of_numbers(
     def closes(*groups: Group) -> float | None:
         others = [group for group in found.groups if not any(group is kept for kept in groups)]
         fit = released_fit(found.given, others).with_chosen(selected.causes)
-        part = gap.closure_without(fit.out_of_fold(fit.transient))
+        rows = fit.out_of_fold(fit.transient)
+        part = gap.closure_without(rows)
+        if part is None or found.given.servos is None:
+            return part
+        joints = [group.joint for group in groups if group.kind in ("friction", GAIN)] or slice(None)
         # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes
-        return part if part is None or found.given.servos is None else min(part, 1.0)
+        return min(part, 1.0) if beyond_usual(rms(gap.beyond(rows)), fit)[joints].any() else None
 
     bodies: list[Group] = []
     for group in found.groups:
