@@ -63,7 +63,7 @@ class Arm:
         self.offset = self._off = np.zeros(2)  # where it is asked to be, and where a joint of 5 rad/s is by now
         self.noise = lambda: 0.0
         self.believed, self.doubt = Believed(), "a joint jumps"
-        self.states = deque(maxlen=8)
+        self.states = deque()
         self.sent, self.brakes, self.cancels = [], [], 0
         self.deaf = self.answers_nothing = False
         self.motion = None
@@ -163,6 +163,25 @@ BOTH = pytest.mark.parametrize("by_goal", [True, False], ids=["goal", "topic"])
 def blocks_of(arm):
     """All that was handed out; raises what ended the motion."""
     return [*arm.kept, *arm._reader]
+
+
+def test_samples_and_set_points_that_waited_are_joined_by_their_stamps():
+    arm = Arm(True)
+    arm.set_point(arm.position, arm.speed)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(0.8, states=True)
+    take, waiting = arm.motion.sample, []
+    arm.motion.sample = lambda *sample: waiting.append(sample)
+    arm.run(0.3, states=True)
+    for sample, _ in waiting:  # all at once, after their set-points
+        arm.believed.sample = sample
+        take(sample, arm.now + arm.delay)
+    arm.motion.sample = take
+    arm.run(6.0, states=True, until_over=True)
+    blocks = blocks_of(arm)
+    rows = [np.concatenate([getattr(one, name) for one in blocks]) for name in ("reference_position", "position")]
+    assert len(rows[0]) > 2000
+    assert np.array_equal(*rows)
 
 
 @BOTH

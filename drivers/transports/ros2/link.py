@@ -16,7 +16,7 @@ import numpy as np
 from drivers.errors import DriverError, ProtocolError
 from drivers.transports.base.link import LinkThread
 from drivers.transports.ros2.following import CANCEL_AFTER, Believed
-from drivers.transports.ros2.ros import Ros, send_brake, set_time, trajectory_message, typed
+from drivers.transports.ros2.ros import DEPTH, Ros, send_brake, set_time, trajectory_message, typed
 from drivers.wire.ros2 import (
     DESCRIPTION,
     JOINT_STATES,
@@ -67,7 +67,7 @@ class RosLink(LinkThread):
         self.believed = Believed()
         self._doubted = -math.inf, 0.0  # when a sample came last that is not believed, and its jump
         self.simulated = False  # whether the controller's time is
-        self.states: deque[SetPoint] = deque(maxlen=8)  # the newest
+        self.states: deque[SetPoint] = deque(maxlen=DEPTH)  # the newest, as many as may have waited
         self.scaling: float | None = None  # of the newest of them
         self.description = b""
         self.joints: tuple[str, ...] = ()
@@ -153,8 +153,8 @@ class RosLink(LinkThread):
         kinds = self.topics().get(states, ())
         if kinds and "sensor_msgs/msg/JointState" not in kinds:
             raise ProtocolError(f"{states} has messages of type {kinds[0]}, and sensor_msgs/msg/JointState is expected")
+        self._listen_to_states()  # first: after a stall, the set-points of all samples that waited are known
         self._ros.raw("sensor_msgs.msg", "JointState", states, lambda data: self._take(reader, data))
-        self._listen_to_states()
         if not self.wait(lambda: self.latest is not None, self._timeout):
             self.check()
             raise DriverError(

@@ -402,13 +402,16 @@ class Ros2Motion(SampleStream):
         self._hand_out()
 
     def _match(self, newest: float) -> None:
-        """Join samples with the nearest set-points, once those are there."""
+        """Join samples with the nearest set-points, once those are there; earlier ones are dropped."""
+        states = self._states
         while self._waiting:
             number, sample = self._waiting[0]
             if newest < sample.stamp - self._period / 2 and len(self._waiting) < 50:
                 return
             self._waiting.popleft()
-            nearest = min(tuple(self._states), key=lambda state: abs(state.stamp - sample.stamp))
+            while len(states) > 1 and abs(states[1].stamp - sample.stamp) <= abs(states[0].stamp - sample.stamp):
+                states.popleft()
+            nearest = states[0]
             self.unmatched += abs(nearest.stamp - sample.stamp) > self._period
             self._batch.append((number, sample, nearest))
 
