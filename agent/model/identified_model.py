@@ -64,6 +64,14 @@ class IdentifiedModel(RigidFrictionModel):
         travelled = np.subtract(*(np.array(self.provenance["range"][key]) for key in ("highest", "lowest")))
         return np.asarray(travelled <= RESTS * self.robot.max_velocity)
 
+    @property
+    def fastest(self) -> np.ndarray:
+        """(n,) highest speed [rad/s or m/s] of each joint in the fit's logs; its limit if it stood still, or if the
+        file does not say."""
+        limit = self.robot.max_velocity
+        known = self.provenance["range"]["fastest"] if "range" in self.provenance else limit
+        return np.where(self._resting, limit, np.minimum(known, limit))
+
     def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
         """(S, n) joint torque [N·m] of consecutive samples (S, n) at `time` (S,) [s], which only effects may need.
 

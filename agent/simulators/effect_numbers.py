@@ -158,9 +158,11 @@ def reversal_over(joints: tuple[str, ...], travel: float, level: float) -> Model
 def left_out(model: IdentifiedModel, friction: np.ndarray) -> Iterator[str]:
     """What numbers do not say of a model, and its torque on joints that turn to and fro over their range.
 
+    Friction counts at the speeds of the fit: beyond, the curve is no better known than the line.
+
     `friction` (n, 2): damping and Coulomb level of each axle as they are written.
     """
-    _, q, qd, qdd = usual_motion(model.robot)
+    _, q, qd, qdd = usual_motion(model.robot, model.fastest)
     for entry in model.effects:
         place = f" of {', '.join(entry.joints)}" if entry.joints else ""
         of = "" if CATALOGUE[entry.effect].moves_arm else ", of what the robot measures, not of how it moves"
@@ -185,12 +187,19 @@ def _most(robot: RobotDescription, torque: np.ndarray) -> str:
     return f"up to {largest[k]:.3g} {'N' if robot.joints[k].prismatic else 'N·m'} on {robot.joint_names[k]}"
 
 
-def usual_motion(robot: RobotDescription) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Time (S,) and q, qd, qdd (S, n) of sines over each joint's range, at the highest speed that its limits allow."""
+def usual_motion(
+    robot: RobotDescription, fastest: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time (S,) and q, qd, qdd (S, n) of sines over each joint's range, at the highest speed that its limits allow.
+
+    `fastest` (n,): lower limits of speed.
+    """
     time = np.arange(0.0, _SECONDS, 1 / _RATE)
     low, high = (np.clip(limit, -np.pi, np.pi) for limit in robot.position_limits)
     size = np.maximum(0.5 * (high - low), 1e-6)
-    angular_frequency = np.minimum(robot.max_velocity / size, np.sqrt(robot.max_acceleration / size))
+    angular_frequency = np.minimum(
+        (robot.max_velocity if fastest is None else fastest) / size, np.sqrt(robot.max_acceleration / size)
+    )
     angle = np.outer(time, angular_frequency) + np.arange(robot.dof)
     q = 0.5 * (low + high) + size * np.sin(angle)
     return time, q, size * angular_frequency * np.cos(angle), -size * angular_frequency**2 * np.sin(angle)

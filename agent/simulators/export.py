@@ -34,7 +34,7 @@ from agent.simulators.urdf import child_of, digits, end_of, mjcf_inertial, moved
 _TABLE = "parameters.csv"
 _STATES = 50
 _TOLERANCE, _LEFT_OUT = 1e-9, 1e-4  # of the largest torque: round-off; base parameters, where pi has few digits
-_SPEEDS = np.linspace(0.02, 1.0, 50)  # of the highest: where the line through a friction curve is laid
+_SPEEDS = np.linspace(0.02, 1.0, 50)  # of the fit's highest: where the line through a friction curve is laid
 
 
 def export_model(
@@ -318,7 +318,7 @@ def _notes(model: IdentifiedModel) -> Iterable[str]:
 def friction_lines(model: IdentifiedModel) -> np.ndarray:
     """(n, 2) damping and friction, neither negative, nearest to what changes sign with the speed of every axle."""
     robot, values = model.robot, model.friction_values
-    highest = np.abs(robot.coupling) @ robot.max_velocity
+    highest = np.abs(robot.coupling) @ model.fastest
     lines = np.zeros((robot.dof, 2))
     for k in range(robot.dof):
         speed = _SPEEDS * highest[k]

@@ -226,6 +226,24 @@ def test_other_friction_forms_are_exported_as_a_line_fit(ns16: RobotDescription,
     assert any(re.search(r"what friction differs by from the line .* \(up to .* on joint_2", text) for text in said)
 
 
+def test_the_line_of_friction_is_laid_over_the_speeds_of_the_fit(ns16: RobotDescription, tmp_path: Path) -> None:
+    """A curve is no better known beyond them, and a local model would lose its own level of friction to it."""
+    model = model_of(ns16, bodies(ns16), known=True)
+    terms = (*model.terms, FrictionTerm(1, "quadratic"))
+    seen = {key: [value] * 6 for key, value in (("lowest", -1.0), ("highest", 1.0), ("fastest", 0.2))}
+    local = replace(
+        model,
+        terms=terms,
+        values=np.append(model.values, 4.0),
+        covariance=np.zeros((len(model.values) + 1,) * 2),
+        provenance={**model.provenance, "range": seen},
+    )
+    export_model(local, tmp_path)
+    axle = json.loads((tmp_path / "friction.json").read_text())["axles"][1]
+    speed = np.linspace(0.02, 0.2, 10)  # the model has 11 + 6 w + 4 w²
+    assert axle["friction"] + axle["damping"] * speed == pytest.approx(11 + 6 * speed + 4 * speed**2, abs=0.05)
+
+
 def test_bodies_fixed_to_a_link_become_part_of_it(tmp_path: Path) -> None:
     urdf = """<robot name="r"><link name="base"/><link name="arm"><inertial><origin xyz="0.2 0 0"/><mass value="4"/>
     <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
