@@ -120,6 +120,12 @@ EVASIONS = {
     "ignored later": program(IGNORE),
     "ignored after the moves": program(MOVE, IGNORE),
     "set again": program(WATCHDOG),
+    "another payload later": program("set_target_payload(9, [0, 0, 0])"),
+    "another payload in an if": program("if True:", "  set_payload(9)", "end"),
+    "another payload in the first statements": changed(
+        PREAMBLE[4], f"{PREAMBLE[4]}\n  set_target_payload(9, [0, 0, 0])"
+    ),
+    "another TCP later": program("set_tcp(p[0, 0, 0.3, 0, 0, 0])"),
     "ignored later in if": program("if False:", f"  {IGNORE}", "end"),
     "ignored later in a routine": program("def off():", f"  {IGNORE}", "end"),
     "ignored later in another case of spacing": program(IGNORE.replace("(", " ( ")),

@@ -20,6 +20,7 @@ STILL = re.compile(r"popup|rtde_set_watchdog|set_\w*digital_out|stop[jl]|sync|te
 _ASKS = re.compile(
     r"(get|is|read_input|read_output|str|to)_\w+|a?(cos|sin|tan)|atan2|sqrt|d2r|r2d|pose_(trans|inv)|abs|floor|ceil"
 )
+_TCP, _PAYLOAD = ("set_tcp",), ("set_payload", "set_target_payload")
 _MOVES = re.compile(r"move[jlpc]|sleep|set_tcp|set_(target_)?payload")
 _WORDS = re.compile(
     "p|True|False|def|thread|sec|while|if|elif|else|end|return|break|continue|halt|run|kill|join|global|local|and|or|not"
@@ -121,8 +122,8 @@ def check_preamble(lines: list[ScriptLine], path: str) -> None:
         and _LEAST <= frequency <= _MOST
         and take(f'{_WATCHDOG}("input_int_register_24", {frequency}, "stop")')
     )
-    while watched and at < len(lines) and _called(lines[at]) in ("set_tcp", "set_payload", "set_target_payload"):
-        at += 1
+    for names in (_TCP, _PAYLOAD):
+        at += watched and at < len(lines) and _called(lines[at]) in names
     permit = lines[at] if at < len(lines) else None
     waits_first = (
         watched
@@ -141,6 +142,11 @@ def check_preamble(lines: list[ScriptLine], path: str) -> None:
     for line in _all(lines[at:]):
         if _called(line) == _WATCHDOG:
             raise UrScriptError(f"{path}:{line.number}: the watchdog is set once, in the first statements")
+        if _called(line) in (*_TCP, *_PAYLOAD):
+            raise UrScriptError(
+                f"{path}:{line.number}: TCP and payload are set once, in the first statements: with another payload "
+                "than it carries the arm sags or jumps"
+            )
         if _called(line) == _REGISTER and _literal(line, _REGISTER, 0) in (None, 25):
             raise UrScriptError(f"{path}:{line.number}: output register 25 belongs to the driver; write another one")
 

@@ -28,16 +28,18 @@ _PREAMBLE = (
     (r"write_output_integer_register\(25, *(?P<number>\d{1,10})\)", 1, 1),
     (r"write_output_integer_register\(24, *-1\)", 0, 1),
     (r'rtde_set_watchdog\("input_int_register_24", *(?P<hertz>\d+\.?\d*), *"stop"\)', 1, 1),
-    (r"set_(?:tcp|payload|target_payload)\([^()]*\)", 0, 9),
+    (r"set_tcp\([^()]*\)", 0, 1),
+    (r"set_(?:target_)?payload\([^()]*\)", 0, 1),
     (r"while read_input_integer_register\(25\) *!= *(?P<permit>\d{1,10}):", 1, 1),
     (r"sync\(\)", 1, 1),
     (r"end", 1, 1),
     (r"write_output_integer_register\(25, *0\)", 1, 1),
 )
-#: What no later row holds: another watchdog, another answer to the driver, another meaning of the words above.
+#: What no later row holds: another watchdog, tool or payload, another answer to the driver, another meaning of the
+#: words above.
 _LATER = re.compile(
     r"(?i)rtde_set_watchdog|write_output_integer_register\(\s*(?!\d+\s*,)|write_output_integer_register\(\s*25\s*,"
-    r"|\b(?:def|thread|sec)\s+(?:read_|write_|set_|sync\b)|\b(?:thread|sec)\b"
+    r"|\b(?:def|thread|sec)\s+(?:read_|write_|set_|sync\b)|\b(?:thread|sec)\b|\bset_(?:tcp|(?:target_)?payload)\b"
 )
 _OPENS = re.compile(r"(?:def|thread|sec|while|if)\b")
 _ENDS = re.compile(r"\bend\b")
