@@ -276,6 +276,21 @@ def test_one_link_too_heavy_in_the_file_is_that_link(tmp_path):
     assert next(iter(cause["parameters"].items())) == ("mz2", pytest.approx(-0.45, rel=0.03))
 
 
+@pytest.mark.parametrize(("rise", "named"), [(0.65, []), (1.2, ["stribeck"])])
+@pytest.mark.verify
+def test_an_arm_that_errs_no_more_than_a_right_file_leaves_has_no_gap(tmp_path, rise, named):
+    """The file errs by 1.8 % or by 3.3 % of the torque of lift; what a right file leaves is twice a hundredth."""
+    model = load_simulator(written(tmp_path, upright(5.0), "arm.urdf"), None, ("pan", "lift", "bend")).model
+
+    def added(qd):
+        return rise * np.array([0, 1, 0]) * np.tanh(qd / 0.01) / (1 + (qd / 0.15) ** 2)
+
+    logs = [read_log(recorded(tmp_path / f"{k}.mcap", model, k, added), model.robot) for k in (1, 2)]
+    found = diagnose(model.robot, logs, model, without=[name for name in CATALOGUE if name != "stribeck"])
+    assert [cause["effect"] for cause in found.result["causes"]] == named
+    assert found.verdict == ("explained" if named else "no_gap")
+
+
 def test_how_friction_reverses_is_learnt_on_a_joint_of_its_own(tmp_path):
     """Though another joint errs far more; the arm rests half of the time, held by its friction."""
     model = load_simulator(written(tmp_path, upright(5.0), "arm.urdf"), None, ("pan", "lift", "bend")).model

@@ -212,19 +212,22 @@ def _search_with(
     left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
     selected, gap = supported(moved, named(search.run()), unit)
-    kept = [
-        k for k in range(len(selected.causes)) if _possible(model, selected.fit, k) and _misses(moved, selected, gap, k)
-    ]
+    large = [k for k in range(len(selected.causes)) if _misses(moved, selected, gap, k)]
+    kept = [k for k in large if _possible(model, selected.fit, k)]
     if len(kept) < len(selected.causes):
-        selected = selected.only(kept) if kept else selected.without_causes(leaves_gap=True)
+        selected = selected.only(kept) if kept else selected.without_causes(leaves_gap=bool(large))
         selected, gap = supported(moved, selected, unit)
     return Explanation(released, search, selected, gap)
 
 
 def _misses(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap, number: int) -> bool:
-    """Whether positions err by more than a right file does on the joints of a cause without it, and without all."""
+    """Whether the arm errs by more than with a right file without causes; positions on the joints of a cause, and
+    without this one alone too.
+
+    With torque a small effect may be named next to a large one.
+    """
     if dataset.servos is None:
-        return True
+        return bool(beyond_usual(gap.before * gap.unit, dataset.fit).any())
     without = rms(gap.beyond(selected.fit.out_of_fold(selected.fit.transient, number)))
     joints = list(selected.causes[number].joints) or slice(None)
     return bool(beyond_usual(np.minimum(without, gap.before * gap.unit), dataset.fit)[joints].any())
