@@ -89,6 +89,7 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
     assert result["gap"]["of"] == "position"
     closes = [cause["closure"] for cause in result["causes"]]
     assert closes == sorted(closes, reverse=True)
+    assert all(-0.05 < step["closes"] < 1.05 for step in result["waterfall"]), "each next to those before it"
     gain = next(cause for cause in result["causes"] if cause["joints"])
     assert "torque_constant" in (gain["effect"], *(other["effect"] for other in gain["equivalent_to"]))
     assert gain["joints"] == ["elbow"]

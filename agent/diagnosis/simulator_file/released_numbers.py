@@ -149,7 +149,11 @@ def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]
         others = [g for g in chosen if g.joint != gain.joint or g.kind not in ("friction", "rotor inertia")]
         if len(others) < len(chosen) - 1 and (swapped := error([*others, gain])) < best:
             chosen, best = [*others, gain], swapped
-    return sorted(chosen, key=lambda group: group.kind != DELAY)
+    ordered: list[Group] = []
+    while chosen:  # the one that leaves least next to those before it: a delay alone may leave more than the file
+        ordered.append(min(chosen, key=lambda group: error([*ordered, group])))
+        chosen = [group for group in chosen if group is not ordered[-1]]
+    return ordered
 
 
 def release_all(dataset: Dataset) -> ReleasedSimulator:

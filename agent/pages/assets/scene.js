@@ -62,7 +62,7 @@ for (const figure of document.querySelectorAll("figure.scene")) {
         }
         context.lineWidth = 1.6;
         context.fillStyle = ink("--ink");
-        context.fillText(`${shape.name}: ${scene.by}`, 8, 16 + 15 * k);
+        context.fillText(`${shape.name}: ${scene.by}`, 8, 16 + 15 * k, width - 16);
         [0, 0.5, 1].forEach((share, i) => { context.fillStyle = ramp(share); context.fillText(`● ${+(share * top).toPrecision(2)}`, 8 + 60 * i, height - 64); });
         return;
       }
@@ -76,7 +76,7 @@ for (const figure of document.querySelectorAll("figure.scene")) {
         context.beginPath(); context.arc(a, b, 3.5, 0, 7); context.fill();
         context.fillText(String(i + 1), a + 6, b - 6);
       });
-      context.fillText(shape.name, 8, 16 + 15 * k);
+      context.fillText(shape.name, 8, 16 + 15 * k, width - 16);
     });
     const origin = [34, height - 30];
     [["x", [1, 0, 0]], ["y", [0, 1, 0]], ["z", [0, 0, 1]]].forEach(([name, p]) => {
