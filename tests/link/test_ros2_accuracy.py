@@ -52,7 +52,7 @@ class OverRos2:
     """The arm under a trajectory controller, and the link to it."""
 
     driver = "driver: ros2, address: ros2://0/arm, effort: torque"
-    target, watchdog = RosAddress.of("ros2://0/arm"), 0.5
+    target, watchdog, states = RosAddress.of("ros2://0/arm"), 0.5, ()
 
     def __init__(self):
         self._now = 1_795_900_000.0

@@ -123,6 +123,11 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     def identify(self) -> Identity:
         """By the robot's description and the controller's parameters."""
         link = self._connected()
+        if link.disputed:
+            raise DriverError(
+                f"{link.target.name(DESCRIPTION)} has had two descriptions, of this robot and of another: end the "
+                "other publisher (`ros2 topic info -v` names both), then run the command again"
+            )
         named = _ROBOT.search(link.description)
         if named is None:
             raise DriverError(f"{link.target.name(DESCRIPTION)} has no <robot name=…>, which says whose arm it is")

@@ -70,6 +70,7 @@ class RosLink(LinkThread):
         self.states: deque[SetPoint] = deque(maxlen=DEPTH)  # the newest, as many as may have waited
         self.scaling: float | None = None  # of the newest of them
         self.description = b""
+        self.disputed = False  # whether another description has come as well
         self.joints: tuple[str, ...] = ()
         #: Stamps and ages of the last seconds; the age is by our own clock that nobody sets, so only its changes count.
         self._seen: deque[tuple[float, float]] = deque(maxlen=_SEEN)
@@ -173,7 +174,9 @@ class RosLink(LinkThread):
         kind = typed("std_msgs.msg", "String")
 
         def take(message: Any) -> None:
-            self.description = message.data.encode()[: _URDF + 1]
+            text = message.data.encode()[: _URDF + 1]
+            self.disputed = self.disputed or self.description not in (b"", text)
+            self.description = text
 
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         topic = self.target.name(DESCRIPTION)
