@@ -33,8 +33,8 @@ _TURN = 0.02  # s
 _OLD = 0.3  # s: a sample that still says where the arm is
 _READY = "ready"
 _PAGE = 4096  # bytes, the least that a pipe holds
-#: A sign of life: at one each 4 ms the pipe of a process that takes none is full after 1.6 s.
-_ALIVE = " " * 9
+#: A sign of life: at one each 8 ms the pipe of a process that takes none is full after 1.6 s.
+_ALIVE = " " * 19
 
 
 class BrakeProcess:
@@ -172,7 +172,8 @@ def main(arguments: Sequence[str], agent: TextIO) -> int:
     ros.raw("sensor_msgs.msg", "JointState", target.name(JOINT_STATES), take, depth=2)
     orders, told, cancel_at = Orders(time.monotonic()), False, math.inf
     while True:
-        ros.spin_once(_TURN if orders.strength is not None else 5 * _TURN)
+        time.sleep(_TURN if orders.strength is not None else 5 * _TURN)
+        ros.take_messages()  # nothing is asked, so no answers have to be looked for
         if not told and believed.sample is not None and publisher.get_subscription_count() > 0:
             told = True
             print(_READY, file=agent)

@@ -27,7 +27,7 @@ from drivers.wire.ros2 import (
     SetPointReader,
 )
 
-_TURN = 0.004  # s: as long as a sample waits, at most, on an idle computer
+_TURN = 0.008  # s: as long as a sample waits, at most, on an idle computer
 _STALL = 0.05  # s of one turn that count as silence
 _URDF = 16 * 1024 * 1024  # bytes
 _DRIFT = 0.1  # of simulated time from ours

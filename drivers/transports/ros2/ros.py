@@ -76,6 +76,10 @@ class Ros:
             self._answers_due = time.monotonic() + _ANSWERS
             with self.sending:
                 self._executor.spin_once(timeout_sec=0.0)
+        self.take_messages()
+
+    def take_messages(self) -> None:
+        """Handle the messages that have come."""
         for subscription, kind, take in self._polled.copy():
             for _ in range(DEPTH):
                 taken = subscription.handle.take_message(kind, True)
