@@ -270,11 +270,10 @@ class RosLink(LinkThread):
     ) -> float:
         """The same as a goal, once; `answered` says whether it was accepted, `ended` its error code and text."""
         self.check()
-        goal_type, joint_tolerance = (
-            typed("control_msgs.action", "FollowJointTrajectory").Goal,
-            typed("control_msgs.msg", "JointTolerance"),
+        joint_tolerance = typed("control_msgs.msg", "JointTolerance")
+        goal = typed("control_msgs.action", "FollowJointTrajectory").Goal(
+            trajectory=trajectory_message(self.joints, 0.0, points)
         )
-        goal = goal_type(trajectory=trajectory_message(self.joints, 0.0, points))
         pairs = zip(self.joints, tolerance.tolist(), strict=True)
         goal.path_tolerance = [joint_tolerance(name=name, position=value) for name, value in pairs]
         set_time(goal.goal_time_tolerance, goal_time)

@@ -6,7 +6,7 @@ import importlib.util
 import os
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,7 @@ _SETTLING = 1.0
 #: Of 200 losses in 20 000 samples with 20 % jitter and 500 ppm drift: 200 found at 0.02, 201 at 0.1, 142 at 0.002.
 _FORGOTTEN = 0.01
 _TURN = 0.05  # s
+_Read = TypeVar("_Read")
 
 
 class WatchedArm:
@@ -79,15 +80,15 @@ class WatchedArm:
         Raises:
             ProtocolError: no message can be read.
         """
-        samples = [names for state, data in self._first if not state and (names := _names_or_none(data))]
+        samples = [names for state, data in self._first if not state and (names := _or_none(names_in, data))]
         if not samples:
             raise ProtocolError(f"no message on {JOINT_STATES} can be read: is it sensor_msgs/msg/JointState?")
-        wanted = next((names for state, data in self._first if state and (names := _names_or_none(data))), ())
+        wanted = next((names for state, data in self._first if state and (names := _or_none(names_in, data))), ())
         complete = [names for names in samples if wanted and {*wanted} <= {*names}]
         self.joints = wanted if complete else max(samples, key=len)
         self.others = {name for names in samples for name in names} - {*self.joints}
         reader = JointStateReader(self.joints)
-        read = (_read_or_none(reader, data) for state, data in self._first if not state)
+        read = (_or_none(reader.read, data) for state, data in self._first if not state)
         steps = np.diff([sample.stamp for sample in read if sample is not None])
         steps = steps[steps > 0.0]
         self._period = float(np.median(steps)) if len(steps) else 0.0
@@ -252,15 +253,8 @@ def _listener(domain: int) -> _Listener:
     )
 
 
-def _names_or_none(data: bytes) -> tuple[str, ...] | None:
+def _or_none(read: Callable[[bytes], _Read], data: bytes) -> _Read | None:
     try:
-        return names_in(data)
-    except ProtocolError:
-        return None
-
-
-def _read_or_none(reader: JointStateReader, data: bytes) -> JointSample | None:
-    try:
-        return reader.read(data)
+        return read(data)
     except ProtocolError:
         return None
