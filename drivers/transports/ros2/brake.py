@@ -177,8 +177,7 @@ def main(arguments: Sequence[str], agent: TextIO) -> int:
         if not told and believed.sample is not None and publisher.get_subscription_count() > 0:
             told = True
             print(_READY, file=agent)
-        readable, _, _ = select.select([0], [], [], 0.0)
-        if readable:
+        if select.select([0], [], [], 0.0)[0]:
             orders.take(os.read(0, 65536), time.monotonic())
         if cancel_at == math.inf and orders.gone(time.monotonic()) and believed.sample is not None:
             assert orders.strength is not None

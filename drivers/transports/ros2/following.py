@@ -31,8 +31,7 @@ class Course:
 
     def at(self, stamp: float) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity (n,) at a stamp [s]; stationary before and after."""
-        position, velocity, _ = self._spline.at(stamp - self.stamp)
-        return position, velocity
+        return self._spline.at(stamp - self.stamp)[:2]
 
 
 def brake_point(position: np.ndarray, velocity: np.ndarray, strength: np.ndarray) -> tuple[float, np.ndarray]:
