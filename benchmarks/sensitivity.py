@@ -1,4 +1,4 @@
-"""What each number of diagnosis, experiment and effects changes: `python benchmarks/sensitivity.py` writes the table.
+"""What each number of diagnosis, experiment and effects changes: `python -m benchmarks.sensitivity` writes the table.
 
 A number is a constant other than -1, 0, 1 and 2 (½ in formulas) in `agent/diagnosis`, `agent/experiment` and
 `agent/model/effects`; a grid is one number. Left out are guards of divisions (at most 1e-6 or at least 1e6), numbers in
@@ -20,8 +20,8 @@ There are four kinds:
 
 Results are kept in `docs/measured/numbers.csv`, so that an interrupted run goes on where it stopped:
 
-    python benchmarks/sensitivity.py             # give every number a line, write docs/measured/numbers.md
-    python benchmarks/sensitivity.py --runs 12   # and measure what fewer than 12 runs have seen
+    python -m benchmarks.sensitivity             # give every number a line, write docs/measured/numbers.md
+    python -m benchmarks.sensitivity --runs 12   # and measure what fewer than 12 runs have seen
 """
 
 from __future__ import annotations

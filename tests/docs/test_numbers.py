@@ -21,7 +21,7 @@ def test_every_number_has_its_line():
     lines = {number: row["value"] for number, row in sensitivity.table().items()}
     now = {number: site.value for number, site in numbers().items()}
     differ = sorted(number for number in now.keys() | lines.keys() if now.get(number) != lines.get(number))
-    assert differ == [], "say what they change, or take them out: python benchmarks/sensitivity.py --runs 12"
+    assert differ == [], "say what they change, or take them out: python -m benchmarks.sensitivity --runs 12"
     assert sensitivity.PAGE.read_text("utf-8") == sensitivity.page(list(sensitivity.table().values()))
 
 
