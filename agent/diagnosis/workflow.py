@@ -21,12 +21,11 @@ from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
+from agent.diagnosis.simulator_file.explanation import Explanation, beyond_usual, search_simulator, with_numbers
 from agent.diagnosis.simulator_file.released_numbers import (
     ReleasedSimulator,
-    bends_of,
-    beyond_usual,
     causes_of_numbers,
+    open_numbers,
     released_fit,
 )
 from agent.diagnosis.simulator_file.servo_table import differing, doubtful_gains
@@ -123,24 +122,26 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
         explanation.as_given.closure or 0.0,
     )
     causes = causes_of(explanation.dataset, explanation.selected, gap)
+    names = explanation.dataset.robot.joint_names
+    of_positions = explanation.dataset.servos is not None
+    remainder = remainders(explanation.dataset, explanation.gap) if of_positions else ()
+    doubted = {names.index(part.joint) for part in remainder}
     numbers = causes_of_numbers(
-        explanation.released, explanation.selected, explanation.as_given, doubtful_gains(explanation)
+        explanation.released, explanation.selected, explanation.as_given, doubtful_gains(explanation), doubted
     )
-    if explanation.dataset.servos is not None:
+    if of_positions:
         whole = causes_of(explanation.dataset, explanation.selected, explanation.as_given)
         pairs = zip(whole, causes, strict=True)
         sized = [of_all for of_all, of_rest in pairs if has_size(of_rest)]
-        doubted = {remainder.joint for remainder in remainders(explanation.dataset, explanation.gap)}
-        told = [cause for cause in numbers if has_size(cause) and doubted.isdisjoint(cause.joints)]
-        gap, given, names = explanation.as_given, explanation.released.given, explanation.dataset.robot.joint_names
+        gap, given, told = explanation.as_given, explanation.released.given, list(filter(has_size, numbers))
         errs = beyond_usual(gap.before * gap.unit, explanation.selected.fit)
         differ = [
             cause
             for cause in differing(explanation, told)
             if errs[[names.index(name) for name in cause.joints or names]].any()
         ]
-        bent = rms(gap.beyond(released_fit(given, bends_of(given)).out_of_fold()))
-        return decide_by_position(sized, differ, gap.closure, bool((errs & beyond_usual(bent, given.fit)).any()))
+        least = rms(gap.beyond(released_fit(given, open_numbers(given)).out_of_fold()))
+        return decide_by_position(sized, differ, gap.closure, bool((errs & beyond_usual(least, given.fit)).any()))
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers)

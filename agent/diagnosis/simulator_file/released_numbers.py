@@ -241,6 +241,12 @@ def bends_of(dataset: Dataset) -> list[Group]:
     return [Group(BEND, j, columns[j][:, None], np.array(viscous[j : j + 1])) for j in range(n)]
 
 
+def open_numbers(dataset: Dataset) -> list[Group]:
+    """Bends, and the delay where logs of positions leave open how the command was held: a right file may differ."""
+    late = [group for group in _of_servos(dataset) if group.kind == DELAY]
+    return [*bends_of(dataset), *(late if dataset.servos is not None and dataset.servos.later else ())]
+
+
 def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
     """The rows with groups of numbers released."""
     covariance = dataset.held + sum(group.directions @ group.directions.T for group in groups)
@@ -335,20 +341,39 @@ def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candid
     return gap.closure_on((group.joint,), others.out_of_fold(others.transient))
 
 
-def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
-    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`), of an error (n,) [rad or m]."""
-    return np.asarray(error >= LIMITS.usual_error * fit.sigma.min(axis=0))
+def _without(released: ReleasedSimulator, groups: Sequence[Group], causes: Sequence[Candidate]) -> np.ndarray:
+    """(S', n) held-out error where some groups stay as the file has them, and everything else is fitted again."""
+    others = [group for group in released.groups if not any(group is kept for kept in groups)]
+    fit = released_fit(released.given, others).with_chosen(causes)
+    return fit.out_of_fold(fit.transient)
+
+
+def _causing(
+    released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap, doubted: Collection[int]
+) -> list[Group]:
+    """The released groups that may be a cause: of positions, not those of `doubted` joints, which have a remainder, nor
+    links where the joint on which they close most is one."""
+    kept = [group for group in released.groups if group.kind != "link inertia" and group.joint not in doubted]
+    links = [group for group in released.groups if group.kind == "link inertia"]
+    if links and doubted:
+        closed = rms(gap.beyond(_without(released, links, causes))) ** 2 - (gap.after * gap.unit) ** 2
+        links = links if int(np.argmax(closed / released.given.fit.sigma.min(axis=0) ** 2)) not in doubted else []
+    return [group for group in released.groups if any(group is other for other in (*kept, *links))]
 
 
 def causes_of_numbers(
-    found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap, doubtful: Collection[int] = ()
+    found: ReleasedSimulator,
+    selected: SelectedCauses,
+    gap: HeldOutGap,
+    doubtful: Collection[int] = (),
+    doubted: Collection[int] = (),
 ) -> tuple[Cause, ...]:
     """The released groups in the vocabulary of effects, what closes most first.
 
-    Of joints with `doubtful` gains, another gain is another friction.
+    Of joints with `doubtful` gains, another gain is another friction; `doubted` ones have a remainder.
     As of every cause, what it closes is what is lost when these numbers alone stay as the file has them and everything
     else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
-    simulator as given. Numbers of positions without which a joint errs no more than a right file does close nothing.
+    simulator as given.
     """
     model, names = found.given.model, found.given.robot.joint_names
     base, change = len(model.independent), found.moved.fit.change
@@ -361,18 +386,12 @@ def causes_of_numbers(
     like_load = (EffectPlace(called["load"], ()),) if several else ()
 
     def closes(*groups: Group) -> float | None:
-        others = [group for group in found.groups if not any(group is kept for kept in groups)]
-        fit = released_fit(found.given, others).with_chosen(selected.causes)
-        rows = fit.out_of_fold(fit.transient)
-        part = gap.closure_without(rows)
-        if part is None or found.given.servos is None:
-            return part
-        joints = [group.joint for group in groups if group.kind in ("friction", GAIN)] or slice(None)
+        part = gap.closure_without(_without(found, groups, selected.causes))
         # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes
-        return min(part, 1.0) if beyond_usual(rms(gap.beyond(rows)), fit)[joints].any() else None
+        return part if part is None or found.given.servos is None else min(part, 1.0)
 
     bodies: list[Group] = []
-    for group in found.groups:
+    for group in _causing(found, selected.causes, gap, doubted):
         joint = () if group.joint < 0 else (names[group.joint],)
         if load and group.kind == "link inertia" and group.joint == found.given.robot.load_link:
             like_links = (EffectPlace(called["links"], ()),)

@@ -59,15 +59,12 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     doubtful = doubtful_gains(found)
     values, low, high = _intervals(found, np.asarray)
     of_step = 0.5 * servos.step * values[1]
-    less = {"delay_s": np.full(len(names), min(servos.later, 0.0)), "armature": -of_step}
-    more = {"delay_s": np.full(len(names), max(servos.later, 0.0)), "armature": of_step}
+    low[SERVO_NUMBERS.index("armature")] -= of_step
+    high[SERVO_NUMBERS.index("armature")] += of_step
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
-        below, above = (changes.get(kind, np.zeros(len(names))) for changes in (less, more))
         table[kind] = tuple(
-            None
-            if kind != "delay_s" and k in doubtful
-            else (float(row[k]), float(max(least[k] + below[k], 0.0)), float(most[k] + above[k]))
+            None if kind != "delay_s" and k in doubtful else (float(row[k]), float(max(least[k], 0.0)), float(most[k]))
             for k in range(len(names))
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
@@ -75,7 +72,10 @@ def servo_table(found: Explanation) -> dict[str, Any]:
 
 
 def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
-    """(5, n) value, low and high of a `form` of the numbers (5, n), linear about those with all drives free."""
+    """(5, n) value, low and high of a `form` of the numbers (5, n), linear about those with all drives free.
+
+    The delay's holds both ways in which the command may have been held.
+    """
     dataset, fit = explanation.dataset, explanation.selected.fit
     assert dataset.servos is not None
     values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0])
@@ -90,7 +90,10 @@ def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray
         spread = np.maximum(spread, jackknife(np.stack(without)))
     spread[-1] += 0.5 * dataset.servos.step
     values, free = form(values), form(free)
-    return values, np.minimum(values, free) - spread, np.maximum(values, free) + spread
+    low, high = np.minimum(values, free) - spread, np.maximum(values, free) + spread
+    low[-1] += min(dataset.servos.later, 0.0)
+    high[-1] += max(dataset.servos.later, 0.0)
+    return values, low, high
 
 
 def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
