@@ -26,8 +26,7 @@ def fitted_doubts(model: IdentifiedModel, logs: Sequence[Log]) -> Iterator[Quali
             f"too little motion: the arm goes through {postures} independent postures ({_APART:g} rad or m and half a "
             f"period of the {model.cutoff:g} Hz cut-off apart); {len(model.values)} parameters need {needed:.0f}"
         )
-        seconds = needed / (2 * model.cutoff)
-        yield QualityFinding(text, advice=f"record {seconds:.1f} s of motion or more, every joint both ways")
+        yield QualityFinding(text, advice="move longer, every joint both ways and in other postures")
         return
     if rotors := _negative_rotors(model):
         listed = ", ".join(f"{name} {value:.3g} kg·m²" for name, value in rotors.items())

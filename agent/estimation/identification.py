@@ -13,7 +13,7 @@ from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
 from agent.estimation.normal_equations import predicts_better
-from agent.estimation.observation import Observation, Partition, observe, partition
+from agent.estimation.observation import ENOUGH_TIME, Observation, Partition, observe, partition
 from agent.estimation.problem import Problem
 from agent.estimation.selection import (
     LOWEST,
@@ -30,7 +30,6 @@ from agent.robot import RigidBodies, RobotDescription, Tool, rigid_bodies
 AUTO = "auto"
 _COMPARED = ("weighted", "huber", "consistent", "plain")
 _MORE_FRICTION = 0.1  # of the squared error held out: what must be gained by more than the plain terms of friction
-_KEPT = 0.8  # of the filtered time, by a lower cut-off
 
 
 def methods() -> tuple[str, ...]:
@@ -147,17 +146,13 @@ def _lower(
         lower = observe(observation.rigid, logs, replace(settings, cutoff=cutoff))
     except InputError:
         return None
-    return lower if _seconds(lower) >= _KEPT * _seconds(observation) else None
+    return lower if lower.seconds >= ENOUGH_TIME * observation.seconds else None
 
 
 def _first_problem(observation: Observation, cells: Partition | None = None, third: str = "quadratic") -> Problem:
     """Three terms of friction an axle, none of them with a reversal that was learned."""
     terms = paper_terms([Reversal()] * observation.robot.dof, (third,))
     return Problem.pose(observation, cells or partition(observation.segments), terms)
-
-
-def _seconds(observation: Observation) -> float:
-    return sum(len(s.time) * s.motion.step / s.motion.rate for s in observation.segments)
 
 
 def _check_motion(logs: Sequence[Log]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.estimation.normal_equations import Moments, observed_standstill_speed
-from agent.estimation.observation import SELDOM, SLIDES, Observation
+from agent.estimation.observation import ENOUGH_TIME, SELDOM, SLIDES, Observation
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import paper_terms
@@ -56,6 +56,7 @@ def build_model(problem: Problem, fit: Estimate, method: str, logs: Sequence[Log
             "link_prior": problem.links,
             "range": fitted_range(observation),
             "open_directions": len(silent),
+            "short": observation.seconds < ENOUGH_TIME * sum(float(log.t[-1] - log.t[0]) for log in logs),
             "doubts": list(_doubts(problem.observation)),
         },
     )

@@ -70,6 +70,11 @@ class Observation:
     segments: Segments
     noisy: int | None = None
 
+    @property
+    def seconds(self) -> float:
+        """Time [s] that the filter leaves."""
+        return sum(len(segment.time) * segment.motion.step / segment.motion.rate for segment in self.segments.items)
+
     def joint_columns(
         self, segment: Segment, terms: tuple[FrictionTerm, ...], rigid_parameters: np.ndarray | None = None
     ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -182,6 +187,7 @@ def check_log(robot: RobotDescription, log: Log) -> None:
 
 
 SLIDES, SELDOM = 0.05, 0.02  #: of its highest speed a joint slides; of its sliding, less than that is none
+ENOUGH_TIME = 0.8  #: of the recorded time, or of what another cut-off leaves, that a filter has to leave
 _CLUSTERS = 40  # enough to see the scatter of a fit, long enough to be independent
 _SHORTEST = 6.0  # of a cluster, in periods of the cut-off
 _GUARD = 2.0  # likewise

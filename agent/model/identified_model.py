@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import NormalDist
@@ -149,7 +148,7 @@ class IdentifiedModel(RigidFrictionModel):
             for joint, error in zip(self.robot.joints, self.held_out_rmse, strict=True)
         )
         lines.append(f"held-out RMSE: {errors}")
-        return "\n".join([*self._too_little_motion(), *lines, *self.notes])
+        return "\n".join([*self.too_little_motion, *lines, *self.notes])
 
     def summary(self, next_step: str) -> str:
         """What to do (`next_step` unless motion is missing), friction and held-out error of every joint, and doubts."""
@@ -161,7 +160,7 @@ class IdentifiedModel(RigidFrictionModel):
         widths = [max(len(row[k]) for row in rows) for k in range(5)]
         lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
         doubts = [note for note in self.notes if note in self.provenance.get("doubts", ())]
-        return "\n".join([*(list(self._too_little_motion()) or [next_step]), *lines, *doubts])
+        return "\n".join([*(self.too_little_motion or [next_step]), *lines, *doubts])
 
     def _friction_cell(self, axle: int, form: str) -> str:
         for k, term in enumerate(self.terms, len(self.independent)):
@@ -173,15 +172,18 @@ class IdentifiedModel(RigidFrictionModel):
     def _viscous_unit(self, axle: int) -> str:
         return "N·s/m" if self.robot.joints[axle].prismatic else "N·m·s/rad"
 
-    def _too_little_motion(self) -> Iterator[str]:
+    @property
+    def too_little_motion(self) -> tuple[str, ...]:
+        """Warning that the fit's logs leave many parameters open, or any where the filter's ends take much; or none."""
         count, missing = len(self.values), self.provenance.get("open_directions", 0)
         resting = [name for name, rests in zip(self.robot.joint_names, self._resting, strict=True) if rests]
         still = f" ({', '.join(resting)} stood still)" if resting else ""
-        if missing > _MANY_OPEN * count:
-            yield (
-                f"Too little motion: these logs leave {missing} of {count} combinations of parameters open{still}. "
-                "Record more motion, every joint both ways and in other postures, then estimate again."
-            )
+        if missing <= _MANY_OPEN * count and not (missing and self.provenance.get("short", False)):
+            return ()
+        return (
+            f"Too little motion: these logs leave {missing} of {count} combinations of parameters open{still}. "
+            "Record more motion, every joint both ways and in other postures, then estimate again.",
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON content of the model file."""

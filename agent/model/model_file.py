@@ -153,6 +153,8 @@ def _check_provenance(provenance: dict[str, Any], n: int) -> None:
             raise ValueError(f"provenance.{key} is a list")
     if not isinstance(provenance.get("open_directions", 0), int):
         raise ValueError("provenance.open_directions is a whole number")
+    if not isinstance(provenance.get("short", False), bool):
+        raise ValueError("provenance.short is true or false")
     if "range" not in provenance:
         return
     for key in ("lowest", "highest", "fastest"):

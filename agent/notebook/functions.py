@@ -229,4 +229,5 @@ def _page(result: GapDiagnosis | TorqueValidation) -> str:
         residual_section(result.predictions),
         parameters_section(model.rows(), model.notes),
     )
-    return render(Page(f"Torque of {model.robot.name}", result.headline(), "plain", sections))
+    headline = " ".join([*model.too_little_motion, result.headline()])
+    return render(Page(f"Torque of {model.robot.name}", headline, "plain", sections))

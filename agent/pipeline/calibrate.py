@@ -125,6 +125,8 @@ def _estimate(job: Job) -> IdentifiedModel:
         cutoff=recipe.estimate.filter.cutoff, method=recipe.estimate.method, order=recipe.estimate.filter.order
     )
     model = with_healthy_effects(estimate(recipe.robot, logs, settings, tool=recipe.tool), (), confirming)
+    for warning in model.too_little_motion:
+        console.warn(warning)
     model.save(run.file("model.json"))
     run.note(model_sha256=sha256_file(run.file("model.json")))
     return model

@@ -401,8 +401,8 @@ def fit_logs(
     if question.structure == "auto":
         console.step("searching for effects beyond links and friction")
         model = with_structure(description, logs, model, console.progress)
-    for doubt in doubts:
-        console.warn(str(doubt))
+    for doubt in (*model.too_little_motion, *map(str, doubts)):
+        console.warn(doubt)
     console.step("measuring each effect on the healthy arm")
     model = with_healthy_effects(model, logs)
     say_used(logs, model.cutoff, model.order, console)

@@ -14,6 +14,7 @@ from agent.robot import Dynamics
     [
         (0.55, 0, 1, False, True),
         (0.1, 4, 1, False, True),
+        (1.6, 0, 1, True, True),
         (2.5, 0, 1, True, False),
         (2.5, 4, 1, True, True),
         (20, 0, 0.01, True, True),
@@ -21,7 +22,7 @@ from agent.robot import Dynamics
     ],
 )
 def test_too_little_motion_is_said_first_and_needs_force(
-    arm, multisine, make_log, tmp_path, motion, still, size, enough, few
+    arm, multisine, make_log, tmp_path, capsys, motion, still, size, enough, few
 ):
     robot, t = arm(2), np.arange(round(500 * (motion + still))) / 500
     since = t - still / 2
@@ -34,6 +35,7 @@ def test_too_little_motion_is_said_first_and_needs_force(
         with pytest.raises(RejectedError, match=r"a\.mcap: too little motion: .* postures .* parameters need"):
             fit_logs(robot, logs, FitQuestion(method="weighted"), Console(-1))
     fit_logs(robot, logs, FitQuestion(method="weighted", force=not enough), Console(-1))[0].save(out)
+    assert ("warning: Too little motion: these logs leave" in capsys.readouterr().err) is few
     model = IdentifiedModel.load(out)
     for first, usual in (
         (model.text().splitlines()[0], "parameter "),

@@ -63,7 +63,7 @@ class RunContent:
 def calibration_report(data: RunContent) -> str:
     """HTML text of the report of a calibration."""
     result, model = data.result, data.model
-    headline = f"{_headline(result)} {_current(result)}"
+    headline = " ".join([_headline(result), *model.too_little_motion, _current(result)])
     if result["diagnosis"] is not None:
         headline = f"{headline} {result['diagnosis']['summary']}"
     sections = [
@@ -86,7 +86,7 @@ def recalibration_report(data: RunContent, comparison: Comparison) -> str:
     """HTML text of the report of a recalibration, with its model compared with the last accepted one."""
     result, model, loop = data.result, data.model, data.result["loop"]
     word = "Accepted" if result["accepted"] else f"Rejected: {result['reason']}"
-    headline = f"{word}. {_current(result)} "
+    headline = " ".join([f"{word}.", *model.too_little_motion, _current(result), ""])
     headline += result["diagnosis"]["summary"] if result["diagnosis"] else f"{result['comparison']}."
     search = f"None this time: the stored loop of {loop['created']} was run again, fitness {loop['fitness']:.2f}."
     sections = [
