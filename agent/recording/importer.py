@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.core import InputError, counted
 from agent.recording.log import ARRAYS, EFFORT, MACHINE, NANO, Log
-from agent.recording.map_columns import Source, position_columns
+from agent.recording.map_columns import Source, one_joint_a_row, position_columns, tables_of_joints
 from agent.recording.mapping import (
     CURRENT,
     OF_NOMINAL,
@@ -61,10 +61,16 @@ def import_log(
     given = None if isinstance(map_or_preset, str) else load_mapping(map_or_preset)
     tables = [read_table(path) for path in inputs]
     mapping, said = preset_map(str(map_or_preset), tables) if given is None else (given, [])
-    described = robot if isinstance(robot, RobotDescription) else robot(position_columns(mapping, tables))
-    source = Source(described, mapping, tables)
+    tables = tables_of_joints(mapping, tables)
+    try:
+        described = robot if isinstance(robot, RobotDescription) else robot(position_columns(mapping, tables))
+        source = Source(described, mapping, tables)
+        log, current = _assembled(source, output)
+    except InputError as error:
+        if mapping.entries.rows is None and len(mapping.entries.position.columns) == 1:
+            raise InputError(f"{error}{one_joint_a_row(tables)}") from None
+        raise
     source.notes += said
-    log, current = _assembled(source, output)
     entries = mapping.entries
     if effort is not None:
         units = [] if entries.effort is None else [unit for unit in entries.effort.unit if unit in CURRENT | OF_NOMINAL]

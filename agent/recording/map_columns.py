@@ -49,12 +49,54 @@ def position_columns(mapping: Mapping, tables: Sequence[ColumnTable]) -> list[st
         InputError: no table has any of them.
     """
     names = mapping.entries.position.columns
-    if not any(table.column(name) is not None for table in tables for name in names):
+    if not any(table.column(name) is not None or table.matrix(str(name)) for table in tables for name in names):
         mapping.fault("position.columns", "; ".join(table.missing(names) for table in tables))
     if len(names) == 1 and isinstance(names[0], str):
         names = next((matrix for table in tables if (matrix := table.matrix(names[0]))), names)
     titles = [[table.name(name) for table in tables] for name in names]
     return [next(filter(None, known), str(name)) for known, name in zip(titles, names, strict=True)]
+
+
+def tables_of_joints(mapping: Mapping, tables: list[ColumnTable]) -> list[ColumnTable]:
+    """The tables; those with rows of one joint each, as `rows:` says, with a column for each joint instead.
+
+    Raises:
+        InputError: a value of `rows:` stands in no row.
+    """
+    wanted, time = mapping.entries.rows, mapping.entries.time
+    if wanted is None or not isinstance(wanted.equals, list):
+        return tables
+    if time is None:
+        mapping.fault("rows", "rows of one joint each are joined by their times: name the column with time:, not rate:")
+    parts = [table.of_each(wanted.column, wanted.equals, time.names()) for table in tables]
+    if not any(parts):
+        table = next((table for table in tables if table.column(wanted.column) is not None), tables[0])
+        name = table.name(wanted.column)
+        if name is None:
+            mapping.fault("rows.column", table.missing([wanted.column]))
+        values = np.unique(table.words.get(name, table.columns[name]))
+        mapping.fault(
+            "rows.equals", f"{table.path.name}: not all of these are in column {name}; there are {_listed(values)}"
+        )
+    return [part or table for part, table in zip(parts, tables, strict=True)]
+
+
+def one_joint_a_row(tables: Sequence[ColumnTable]) -> str:
+    """What to write in the mapping if a column has few values, as where it says which joint a row is of; else empty."""
+    for table in tables:
+        for name, column in table.columns.items():
+            values = np.array(list(dict.fromkeys(table.words.get(name, np.unique(column)))))
+            if 1 < len(values) <= _SHOWN_VALUES and "" not in values:
+                return (
+                    f". If each row of {table.path.name} is of one joint, write "
+                    f"rows: {{column: {name}, equals: [{_listed(values)}]}}, the joints from base to tip"
+                )
+    return ""
+
+
+def _listed(values: np.ndarray) -> str:
+    shown = (f"{value:g}" if isinstance(value, float) else str(value) for value in values[:_SHOWN_VALUES].tolist())
+    return ", ".join(shown) + (", …" if len(values) > _SHOWN_VALUES else "")
 
 
 class Source:
@@ -73,7 +115,7 @@ class Source:
         """Time (S,) [s] of the rows, and the columns (S, k) of each quantity that the mapping names, of `rows` too."""
         by_key = {key: self._found(key, columns) for key in ARRAYS if (columns := getattr(self.mapping.entries, key))}
         self._check_apart(by_key)
-        if (wanted := self.mapping.entries.rows) is not None:
+        if (wanted := self.mapping.entries.rows) is not None and not isinstance(wanted.equals, list):
             by_key["rows"] = self._columns("rows", "rows.column", wanted.file, [wanted.column])
         columns = [(key, table, column) for key, pairs in by_key.items() for table, column in pairs]
         if self.mapping.entries.rate is not None:
@@ -209,10 +251,8 @@ class Source:
             selected = column == wanted.equals
             if not selected.any():
                 values = np.unique(column[np.isfinite(column)])
-                listed = ", ".join(f"{value:g}" for value in values[:_SHOWN_VALUES])
-                listed += ", …" if len(values) > _SHOWN_VALUES else ""
-                fault("rows.equals", f"no row has {wanted.column} {wanted.equals:g}; there are {listed}")
-            self.notes.append(f"{selected.sum()} of {len(time)} rows have {wanted.column} {wanted.equals:g}")
+                fault("rows.equals", f"no row has {wanted.column} {wanted.equals}; there are {_listed(values)}")
+            self.notes.append(f"{selected.sum()} of {len(time)} rows have {wanted.column} {wanted.equals}")
         repeats = selected & np.append(False, np.diff(time) == 0)
         if self.mapping.preset and repeats.any():
             selected = selected & ~repeats
@@ -336,7 +376,7 @@ class Source:
         columns = [column for name in names if (column := table.column(name)) is not None]
         for name, column in zip(names, columns, strict=True):
             if len(column) >= 2 > np.count_nonzero(np.isfinite(column)):
-                word = table.words.get(table.name(name) or "")
+                word = next(filter(None, table.words.get(table.name(name) or "", ())), None)
                 if word is None:
                     self.mapping.fault(columns_key, f"{table.path}: column {name} is empty: nothing was recorded in it")
                 what = f"{table.path}: column {name} is not of numbers ({word[:_SHOWN]!r} is not a number)"

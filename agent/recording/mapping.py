@@ -101,10 +101,10 @@ class TimeColumn(_MappingPart):
 
 
 class RowSelection(_MappingPart):
-    """`rows:` those in which a column has a value."""
+    """`rows:` those in which a column has a value; of a list, rows with the k-th value are of the k-th joint."""
 
     column: Annotated[Any, BeforeValidator(_column)]
-    equals: int | float
+    equals: int | float | Annotated[list[int | float | str], Field(min_length=2)]
     file: str | None = None
 
 

@@ -13,7 +13,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -55,16 +55,16 @@ Cell = float | list[float] | None
 class ColumnTable:
     """Columns (S,) by name, in the order of the file, NaN where a field is no number; constants by name.
 
-    A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length. `words` has the first
-    field of a column that is no number, where there is one; `other_names` the column of a name in another line of
-    names; `doubled` names that several columns have; `notes` what there is to say about the file; `objects` the class
-    of MATLAB's objects, which cannot be read.
+    A matrix (S, k) named q is columns q[1] to q[k]. Columns of a MAT file may differ in length. `words` has the
+    fields of a column that are no number, where there are any, and "" for the others; `other_names` the column of a
+    name in another line of names; `doubled` names that several columns have; `notes` what there is to say about the
+    file; `objects` the class of MATLAB's objects, which cannot be read.
     """
 
     path: Path
     columns: dict[str, np.ndarray]
     constants: dict[str, float] = field(default_factory=dict)
-    words: dict[str, str] = field(default_factory=dict)
+    words: dict[str, list[str]] = field(default_factory=dict)
     other_names: dict[str, str] = field(default_factory=dict)
     doubled: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
@@ -90,6 +90,26 @@ class ColumnTable:
         names = (self.other_names.get(text, text) for text in (name, _dotted(name)))
         matrices = ([column for column in self.columns if column.startswith(f"{text}[")] for text in names)
         return next(filter(None, matrices), [])
+
+    def of_each(
+        self, marker: str | int, values: Sequence[float | str], kept: Sequence[str | int]
+    ) -> ColumnTable | None:
+        """This table with a matrix instead of each column, such as q[pan], q[lift]: NaN but in rows whose `marker` has
+        the value. Columns in `kept` stay. None if there is no such marker, or no row with one of the values.
+        """
+        if (name := self.name(marker)) is None:
+            return None
+        marks = np.array(self.words.get(name, self.columns[name].tolist()), dtype=object)
+        rows = {str(value): marks == value for value in values}
+        if not all(np.any(own) for own in rows.values()):
+            return None
+        columns = dict[str, np.ndarray]()
+        for title, column in self.columns.items():
+            if title in [name, *map(self.name, kept)]:
+                columns[title] = column
+            else:
+                columns |= {f"{title}[{value}]": np.where(own, column, np.nan) for value, own in rows.items()}
+        return replace(self, columns=columns)
 
     def missing(self, names: Sequence[str | int]) -> str:
         """That it has none of these columns, what it has instead, and what to do."""
@@ -221,14 +241,16 @@ def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
     left_out = sum(row.is_data for row in rows) - size(block)
     notes = (f"{counted(left_out, 'row')} of numbers outside the longest block, left out",) if left_out else ()
     columns: list[np.ndarray] = []
-    words: dict[int, str] = {}
+    words: dict[int, list[str]] = {}
     kept = [row for row in rows[start:stop] if not row.comment]
     for place in range(width):
         column: list[Cell] = [row.cells[place] if row.width == width else np.nan for row in kept]
-        for row, cell in zip(kept, column, strict=True):
-            if row.width == width and isinstance(cell, float) and cell != cell:
-                words[place] = row.fields[place]
-                break
+        texts = [
+            row.fields[place] if row.width == width and isinstance(cell, float) and cell != cell else ""
+            for row, cell in zip(kept, column, strict=True)
+        ]
+        if any(texts):
+            words[place] = texts
         lengths = Counter(len(cell) for cell in column if isinstance(cell, list))
         if lengths:
             blank = [np.nan] * lengths.most_common(1)[0][0]
@@ -422,13 +444,13 @@ def _heads(rows: Sequence[Row], start: int, width: int) -> list[list[str]]:
 
 
 def _named(
-    path: Path, heads: list[list[str]], columns: list[np.ndarray], words: dict[int, str], notes: tuple[str, ...]
+    path: Path, heads: list[list[str]], columns: list[np.ndarray], words: dict[int, list[str]], notes: tuple[str, ...]
 ) -> ColumnTable:
     """Columns (S,), or (S, k) of a vector, by the names of the first head; the others are names too. A name that
     stands twice names none of them."""
     by_name: dict[str, np.ndarray] = {}
     other_names: dict[str, str] = {}
-    texts: dict[str, str] = {}
+    texts: dict[str, list[str]] = {}
     names = [[text.strip("\"' ") for text in head] for head in heads]
     doubled = {name for head in names for name, count in Counter(head).items() if name and count > 1}
     for place, column in enumerate(columns):

@@ -1,6 +1,7 @@
 """Tables become logs by mapping files; the examples for measured data give what direct computation gives."""
 
 import contextlib
+import re
 from pathlib import Path
 
 import numpy as np
@@ -223,6 +224,34 @@ def test_rows_of_two_topics_are_joined_by_time(convert, tmp_path, table):
     log, _ = convert(CLOCKS, tmp_path / "data.csv")
     np.testing.assert_allclose(log.position, values[1:, 1:3], atol=1e-12)
     np.testing.assert_allclose(log.effort, 0.9 * values[1:, 5:7] + 0.1 * values[:-1, 5:7], atol=1e-9)
+
+
+LONG = "time: {column: t}\nposition: {columns: [q]}\neffort: {columns: [e]}\n"
+
+
+@pytest.mark.parametrize("names", [("turn", "slide"), (7, 8)])
+def test_rows_may_be_of_one_joint_each(convert, tmp_path, table, names):
+    """A long table; where the mapping does not say so, the message does."""
+    _, values = table
+    lines = ["t,which,q,e"]
+    for t, *q, _, _, e1, e2 in values.tolist():
+        lines += [f"{t!r},{name},{p!r},{e!r}" for name, p, e in zip(names, q, (e1, e2), strict=True)]
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join(lines))
+    rows = f"rows: {{column: which, equals: [{names[0]}, {names[1]}]}}"
+    with pytest.raises(InputError, match=re.escape(rows)):
+        convert(LONG, path)
+    log, _ = convert(f"{LONG}{rows}\n", path)
+    np.testing.assert_array_equal(log.position, values[:, 1:3])
+    np.testing.assert_array_equal(log.effort, values[:, 5:7])
+    for wrong, says in (
+        (rows.replace(f", {names[1]}]", ", elbow]"), f"not all of these are in column which; there are .*{names[0]}"),
+        (rows.replace("which", "joint"), "rows.column: data.csv has no column joint"),
+    ):
+        with pytest.raises(InputError, match=says):
+            convert(f"{LONG}{wrong}\n", path)
+    with pytest.raises(InputError, match="by their times"):
+        convert(f"{LONG}{rows}\n".replace("time: {column: t}", "rate: 200 Hz"), path)
 
 
 def test_each_joint_may_have_a_file_of_its_own(convert, tmp_path, table):
