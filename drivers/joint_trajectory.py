@@ -35,6 +35,7 @@ LEAD = 0.2
 WIDEST = 0.2
 _SHORTEST = 0.5  # s, of a move from where the arm rests
 _SETTLED = 0.5  # s, between the last point and the duration that is allowed, for rounding and the lead
+_PARTS = 10  # goals of one move, at most
 _LINES, _POINTS, _CYCLES, _REST = 100_000, 10_000, 1_000_000, 3600.0
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 # A quintic from rest to rest over e in T seconds: peak speed 15/8 e/T, peak acceleration 10/√3 e/T².
@@ -117,6 +118,25 @@ def rest_to_rest(start: np.ndarray, end: np.ndarray, velocity: np.ndarray, accel
     return JointSpline(np.array([0.0, seconds]), np.array([start, end]), nothing, nothing)
 
 
+def parts(start: np.ndarray, end: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+    """Where (K, n) the goals of such a move end: equal parts of its way, as few as take at most `LONGEST` each.
+
+    Raises:
+        RefusedError: the move would take too many.
+    """
+    way = np.abs(end - start) / LONGEST
+    ratio = max(np.max(_SPEED * way / velocity), np.max(_ACCELERATION * way / acceleration / LONGEST))
+    if not ratio <= _PARTS:
+        raise RefusedError(
+            f"a move of more than {_PARTS * LONGEST:g} s; {_PARTS} goals of {LONGEST:g} s are allowed: move faster, or "
+            "bring the arm nearer by hand"
+        )
+    count = max(1, math.ceil(ratio - 1e-6))
+    share = np.arange(1, count + 1)[:, None] / count
+    ends: np.ndarray = np.where(share == 1.0, end, start + share * (end - start))
+    return ends
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
     """A line: a goal that is run `cycles` times, `points` with the `tolerance` (n,) of their path; a move `to` (3, n)
@@ -130,7 +150,7 @@ class Step:
     tolerance: np.ndarray | None = None
 
     def from_(self, position: np.ndarray) -> JointSpline:
-        """The points for an arm that rests at `position` (n,).
+        """The points for an arm that rests at `position` (n,); of a move that takes several goals, those of the first.
 
         Raises:
             RefusedError: the move would take too long.
@@ -139,12 +159,7 @@ class Step:
             return self.points
         assert self.to is not None
         # A controller sets out for the first point at once, whatever the stamp: the first is where the arm rests.
-        move = rest_to_rest(position, *self.to).later(LEAD)
-        if move.duration > LONGEST + LEAD + _SETTLED:
-            raise RefusedError(
-                f"the way to the first point would take {move.duration - LEAD:.0f} s, {LONGEST:g} s are allowed"
-            )
-        return move
+        return rest_to_rest(position, parts(position, *self.to)[0], *self.to[1:]).later(LEAD)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,8 +26,8 @@ class Aligner:
     #: Shortest rest [s] of the set-points that counts as a stop.
     REST = 0.006
 
-    def __init__(self, chains: Sequence[Trajectory], period: float):
-        self._chains = chains
+    def __init__(self, chains: Sequence[Trajectory], period: float, approaches: int = 1):
+        self._chains, self._approaches = chains, approaches
         self._segments = MovingSegments(round(self.REST / period))
         self._stamps = array("d")  # of set-points [s]
         self._seen = True  # set-points, with every block
@@ -55,7 +55,7 @@ class Aligner:
 
     def finish(self, write_planned: Callable[[np.ndarray, np.ndarray, np.ndarray], None]) -> list[float]:
         """Write the planned set-points; returns the controller times at which cycles start (all but the approach)."""
-        segments, chains, approaches = self._segments.found, self._chains, 1
+        segments, chains, approaches = self._segments.found, self._chains, self._approaches
         if len(segments) == len(chains) - 1 and is_standstill(chains[0]):
             chains, approaches = chains[1:], 0  # the arm stood at the first point already
         if not self._seen or not segments or len(segments) != len(chains):

@@ -49,6 +49,7 @@ def plan_program(
     program = recipe.dialect.read(text, path, recipe.robot)
     statements = tuple(program.run())
     chains: list[Trajectory] = []
+    ways: list[list[Move]] = []
     for moves, chain in trajectories(recipe, statements, start):
         if all(chain is not planned for planned in chains):
             if (violation := _in_cell(recipe, chain).collision) is not None:
@@ -61,8 +62,12 @@ def plan_program(
                 )
             check_load(limits, chain)
         chains.append(chain)
+        ways.append(moves)
+    approaches = sum(moves is ways[0] for moves in ways)
     frames = left_open(statements, recipe.tool, recipe.dialect.frame_names)
-    return PlannedProgram(program.name, text, tuple(chains), stands_for, (), pauses(statements), frames, statements)
+    return PlannedProgram(
+        program.name, text, tuple(chains), stands_for, (), pauses(statements), frames, statements, approaches
+    )
 
 
 def trajectories(
@@ -70,7 +75,8 @@ def trajectories(
 ) -> Iterator[tuple[list[Move], Trajectory]]:
     """Moves and set-points of a program from stop to stop, for an arm that stands at `start` (n,): unchecked.
 
-    Where it makes the same way again, the trajectory is the same object. What moves nothing is left out.
+    Where it makes the same way again, the trajectory is the same object. What moves nothing is left out. A move that
+    takes several goals comes as often, with a part of its way each time.
 
     Args:
         recipe: whose interpolator, robot and tool plan.
@@ -80,19 +86,20 @@ def trajectories(
     Raises:
         MotionError: a limit of the arm is broken.
     """
-    from agent.motion import stop_to_stop, way_key
+    from agent.motion import parted, stop_to_stop, way_key
 
     interpolator = interpolator_of(recipe)
     known: dict[tuple[object, ...], list[Trajectory]] = {}
     for moves in stop_to_stop(statements):
-        alike = known.setdefault(way_key(moves), [])
-        chain = next((candidate for candidate in alike if np.allclose(candidate.q[0], start, rtol=0, atol=_SAME)), None)
-        if chain is None:
-            chain = interpolator.plan(moves, start)
-            alike.append(chain)
-        if np.ptp(chain.q, axis=0).any():
-            yield moves, chain
-            start = chain.q[-1]
+        for part in parted(moves, start):
+            alike = known.setdefault(way_key(part), [])
+            chain = next((other for other in alike if np.allclose(other.q[0], start, rtol=0, atol=_SAME)), None)
+            if chain is None:
+                chain = interpolator.plan(part, start)
+                alike.append(chain)
+            if np.ptp(chain.q, axis=0).any():
+                yield moves, chain
+                start = chain.q[-1]
 
 
 @lru_cache(maxsize=4)

@@ -155,7 +155,7 @@ class RobotLink:
 
         guard, robot, total = self._guard, self._recipe.robot, program.duration
         guard.send(program)
-        aligner = Aligner(program.chains, self.identity.period)
+        aligner = Aligner(program.chains, self.identity.period, program.approaches)
         limits = {"watch_only": self.identity.watch_only} if self.identity.watch_only else {}
         try:
             with LogWriter(

@@ -185,7 +185,8 @@ def _task_poses(recipe: Recipe, path: Path) -> np.ndarray:
     ways = list(trajectories(recipe, dialect.read(text, str(path), recipe.robot).run(), kinematics.middle))
     if not ways:
         raise InputError(f"{path}: nothing in this program moves the arm; name the program that does")
-    job = [chain for _, chain in ways[1:] or ways]  # the first leads from an arbitrary start to the job
+    first = ways[0][0]  # leads from an arbitrary start to the job
+    job = [chain for moves, chain in ways if moves is not first] or [chain for _, chain in ways]
     return np.concatenate([kinematics.forward(chain.q[::25]) for chain in job])
 
 

@@ -48,7 +48,8 @@ class PlannedProgram:
     `statements`: what its text says. `stands_for`: checksum of the program that this one is the slow version of; empty
     for any other. `points`: the same motion for a controller that takes via-points. `pauses` [s]: rests that the
     program asks for (DELAY). `frames`: those of the controller that the plan takes for granted, (4, 4) [m] by their
-    name in the dialect; none where the program sets all that it needs.
+    name in the dialect; none where the program sets all that it needs. `approaches`: chains of the way to the first
+    point.
     """
 
     name: str
@@ -59,6 +60,7 @@ class PlannedProgram:
     pauses: float = 0.0
     frames: Mapping[str, np.ndarray] = field(default_factory=dict)
     statements: tuple[Statement, ...] = ()
+    approaches: int = 1
 
     @property
     def checksum(self) -> str:

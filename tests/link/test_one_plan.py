@@ -1,6 +1,7 @@
 """What a robot runs is planned and checked by one function: nothing else makes a program that a link would take."""
 
 import ast
+import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,10 +11,13 @@ import pytest
 
 from agent.core import Console, InputError
 from agent.link import RobotLink, planning
-from agent.motion import JointTarget, Move, MoveType, Pdl2Settings, with_frames
+from agent.link.alignment import Aligner
+from agent.motion import JointTarget, MotionSettings, Move, MoveType, Pdl2Settings, with_frames
 from agent.motion.pdl2 import write_program
 from agent.recipe import load_recipe, template
 from agent.robot import Box, Cell, TorqueLimits, kinematics_for
+from agent.safety.first_run import slow_text
+from fake_controller.state import home
 from tests.conftest import ROOT
 
 HOME = np.radians([0.0, 15.0, -90.0, 0.0, 45.0, 0.0])
@@ -103,3 +107,29 @@ def test_a_first_run_and_what_follows_it_are_checked_too(recipe, checked, tmp_pa
     with pytest.raises(InputError, match="with the mass at the flange"):
         link.run(planned, tmp_path / "swing.mcap", "swing")
     assert len(link.ran) == 2
+
+
+def test_a_way_to_the_first_point_of_several_goals_is_as_many_stretches():
+    recipe = load_recipe(ROOT / "recipes/ros2.yaml")
+    robot, period = recipe.robot, 1.0 / recipe.record.rate
+    there = home(robot)
+    moves = [Move(MoveType.JOINT, JointTarget(there + way), MotionSettings()) for way in (0.0, 0.1, 0.0)]
+    away = there + np.array([1.0, 0, 0, 0, 0, 0])
+    lines = recipe.dialect.write("swing", moves, robot).splitlines()
+    far = json.loads(lines[1]) | {"velocity": [0.07] * 6}
+    text = "\n".join([lines[0], json.dumps(far), *2 * lines[2:]]) + "\n"
+    plan = planning.plan_program(recipe, text, "swing", away)
+    assert plan.approaches == 2
+    first, second, *cycles = plan.chains
+    assert len(cycles) == 4
+    assert max(first.duration, second.duration) <= 20.0 < first.duration + second.duration
+    assert np.abs(first.qd).max() <= 0.07
+    assert np.allclose(first.q[-1], (away + there) / 2)
+    assert np.array_equal(second.q[-1], far["to"])
+    aligner, wait = Aligner(plan.chains, period, plan.approaches), 50
+    given = np.concatenate([np.pad(chain.q, ((0, wait), (0, 0)), "edge") for chain in plan.chains])
+    aligner.take(period * np.arange(len(given)), given)
+    begun = np.cumsum([0, *(len(chain.q) + wait for chain in plan.chains)])[[2, 4]]
+    assert np.allclose(aligner.finish(lambda *rows: None), period * begun, atol=2 * period)
+    slow = slow_text(plan, robot, recipe.dialect, planning.interpolator_of(recipe), away)
+    assert json.loads(slow.splitlines()[1])["to"] == far["to"]

@@ -615,7 +615,22 @@ def test_a_program_that_could_not_be_left_alone_is_refused(text):
         GoalProgram.of(HEADER + text)
 
 
-def test_a_move_from_far_away_is_refused():
+def test_a_way_from_far_away_is_several_goals_each_from_rest_to_rest():
+    arm = Arm(True, (1.5, -0.3))
+    motion = arm.run_program(HEADER + TO.replace("[1, 1]", "[0.1, 1]") + goal())
+    arm.run(40.0, until_over=True)
+    assert motion.over
+    assert not arm.brakes
+    first, second, cycle = (points for _, points in arm.sent)
+    assert first[-1][0] == pytest.approx(second[-1][0])
+    assert all(points[-1][0] <= LONGEST + 0.2 and not np.any(points[-1][2]) for points in (first, second))
+    assert np.allclose(first[-1][1], (0.75, -0.15))
+    assert np.array_equal(second[-1][1], (0.0, 0.0))
+    assert len(motion.cycle_starts) == 1
+    assert motion.cycle_starts[0] == arm.sent[2][0] + cycle[0][0]
+
+
+def test_a_move_of_many_goals_is_refused():
     program = GoalProgram.of(HEADER + TO)
-    with pytest.raises(RefusedError, match="20 s are allowed"):
-        program.steps[0].from_(np.array([30.0, 0.0]))
+    with pytest.raises(RefusedError, match="10 goals of 20 s are allowed"):
+        program.steps[0].from_(np.array([300.0, 0.0]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
-from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings
+from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings, parted
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement
 from agent.robot import Dynamics, RobotDescription, Tool
@@ -58,14 +58,16 @@ class JointTrajectoryLaw:
                 pending.append(statement)
             if pending and not (pending[-1].fly and number + 1 < len(statements)):
                 first = number + 1 - len(pending)
-                spline, move_at, limits = self.spline(pending, q, first)
-                t = np.minimum(
-                    self.period * np.arange(1, np.ceil(spline.duration / self.period - 1e-6) + 1), spline.t[-1]
-                )
-                rows.append(np.array(spline.at(t)))
-                moves.append(first + move_at(t))
-                binding.append((began, limits))
-                q, pending = spline.q[-1], []
+                for part in parted(pending, q):
+                    spline, move_at, limits = self.spline(part, q, first)
+                    t = np.minimum(
+                        self.period * np.arange(1, np.ceil(spline.duration / self.period - 1e-6) + 1), spline.t[-1]
+                    )
+                    rows.append(np.array(spline.at(t)))
+                    moves.append(first + move_at(t))
+                    binding.append((began, limits))
+                    q = spline.q[-1]
+                pending = []
             began = self.period * (sum(part.shape[1] for part in rows) - 1)
         return _SplineTrajectory(
             self._dynamics, binding, np.concatenate(rows, axis=1), np.concatenate(moves), self.period
@@ -135,8 +137,7 @@ class JointTrajectoryLaw:
         if spline.duration > LONGEST + 1e-6:
             text = (
                 f"statement {first + 1}: {spline.duration:.1f} s of motion without a stop; {LONGEST:g} s are allowed, "
-                "as the arm goes on to the end when nobody is there any more: move faster, or a shorter way. If it is "
-                "the way to the first point, move the arm nearer by hand"
+                "as the arm goes on to the end when nobody is there any more: move faster, or a shorter way"
             )
             raise MotionError(text, first, "duration", spline.duration / LONGEST - 1.0)
 

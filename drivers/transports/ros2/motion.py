@@ -334,6 +334,8 @@ class Ros2Motion(SampleStream):
             return
         tolerance = np.full(len(self._program.joints), 0.1) if step.tolerance is None else step.tolerance
         self._limit_off = SHARE * tolerance
+        if step.to is not None and not np.array_equal(points.q[-1], step.to[0]):
+            self._steps = itertools.chain([step], self._steps)  # a part of the way is left
         rows = list(zip(points.t.tolist(), points.q, points.qd, points.qdd, strict=True))
         self._phase, self._accepted, self._result, self._sent_at = "moving", None, None, self._clock()
         self.goals_sent += 1
