@@ -21,9 +21,10 @@ from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.explanation import Explanation, beyond_usual, search_simulator, with_numbers
+from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
 from agent.diagnosis.simulator_file.released_numbers import (
     ReleasedSimulator,
+    beyond_usual,
     causes_of_numbers,
     open_numbers,
     released_fit,

@@ -7,7 +7,7 @@ import pytest
 
 from agent.diagnosis.document import Cause
 from agent.diagnosis.simulator_file import servo_table
-from agent.diagnosis.simulator_file.explanation import beyond_usual
+from agent.diagnosis.simulator_file.released_numbers import beyond_usual
 from agent.diagnosis.verdict import decide_by_position
 
 NAMES = ("lift", "elbow")

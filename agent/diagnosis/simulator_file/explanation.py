@@ -33,6 +33,7 @@ from agent.diagnosis.simulator_file.released_numbers import (
     DELAY,
     GAIN,
     ReleasedSimulator,
+    beyond_usual,
     release,
     release_all,
     waterfall,
@@ -111,11 +112,6 @@ class Explanation:
     def left(self) -> float:
         """Mean square over joints of the remaining error."""
         return float(np.mean(self.gap.after**2))
-
-
-def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
-    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`), of an error (n,) [rad or m]."""
-    return np.asarray(error >= LIMITS.usual_error * fit.sigma.min(axis=0))
 
 
 def _like_links(causes: Sequence[Candidate]) -> bool:

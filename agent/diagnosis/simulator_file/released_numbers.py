@@ -351,14 +351,28 @@ def _without(released: ReleasedSimulator, groups: Sequence[Group], causes: Seque
 def _causing(
     released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap, doubted: Collection[int]
 ) -> list[Group]:
-    """The released groups that may be a cause: of positions, not those of `doubted` joints, which have a remainder, nor
-    links where the joint on which they close most is one."""
-    kept = [group for group in released.groups if group.kind != "link inertia" and group.joint not in doubted]
-    links = [group for group in released.groups if group.kind == "link inertia"]
+    """The released groups that may be a cause: all where torque is judged.
+
+    Not those of joints that err no more than a right file does without all of their own numbers, nor of `doubted` ones,
+    which have a remainder, nor links where the joint on which they close most is one of these.
+    """
+    if released.given.servos is None:
+        return list(released.groups)
+    fit, links = released.given.fit, [group for group in released.groups if group.kind == "link inertia"]
+    kept = [group for group in released.groups if group.kind == DELAY]
+    for joint in sorted(set(range(len(fit.rows))) - set(doubted)):
+        own = [group for group in released.groups if group.joint == joint and group.kind != "link inertia"]
+        without = rms(gap.beyond(_without(released, own, causes))) if own else gap.after
+        kept += own if beyond_usual(without, fit)[joint] else []
     if links and doubted:
         closed = rms(gap.beyond(_without(released, links, causes))) ** 2 - (gap.after * gap.unit) ** 2
-        links = links if int(np.argmax(closed / released.given.fit.sigma.min(axis=0) ** 2)) not in doubted else []
+        links = links if int(np.argmax(closed / fit.sigma.min(axis=0) ** 2)) not in doubted else []
     return [group for group in released.groups if any(group is other for other in (*kept, *links))]
+
+
+def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
+    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`), of an error (n,) [rad or m]."""
+    return np.asarray(error >= LIMITS.usual_error * fit.sigma.min(axis=0))
 
 
 def causes_of_numbers(
