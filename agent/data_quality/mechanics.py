@@ -197,6 +197,7 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
             yield _Mistake(f"the torque of {names[k]} looks flipped", plain, torque * sign, (k,))
             yield _Mistake(f"the position of {names[k]} looks flipped", flipped, torque, (k,))
         yield _Mistake(f"position and torque of {names[k]} look flipped", flipped, torque * sign, (k,))
+    yield from (mistake for mistake in _from_base(plain) if mistake.about[0] in alone)
     for a, b in combinations(alone, 2):
         order = given.copy()
         order[[a, b]] = b, a
@@ -218,6 +219,28 @@ def _zeros_text(robot: RobotDescription, offset: np.ndarray) -> str:
     values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
     sizes = " and ".join(f"{abs(angle):g}°" for angle in dict.fromkeys(np.abs(np.degrees(offset[offset != 0]))))
     return f"{whose} {sizes} off: import with `position: {{offset: [{values}]}}`"
+
+
+def _from_base(plain: RigidFit) -> Iterator[_Mistake]:
+    """Positions measured from the link before the last one, as drives at the base measure them, of parallel axes."""
+    robot, s, (rotation, _, axis, slides, *_) = plain.robot, plain.samples, plain.dynamics.chain
+    for k in range(1, robot.dof):
+        along = float(axis[k - 1] @ rotation[k] @ axis[k])
+        if slides[k] or slides[k - 1] or not np.isclose(abs(along), 1.0):
+            continue
+        own, other = robot.joint_names[k], robot.joint_names[k - 1]
+        sign, change = (1.0, "subtract") if along > 0 else (-1.0, "add")
+        q, qd, qdd = (
+            values - sign * np.where(np.arange(robot.dof) == k, values[:, [k - 1]], 0.0)
+            for values in (s.q, s.qd, s.qdd)
+        )
+        direction = np.where(np.arange(robot.dof) == k, np.sign(qd), s.direction)
+        relative = RigidFit(plain.dynamics, replace(s, q=q, qd=qd, qdd=qdd, direction=direction), plain.precision)
+        text = (
+            f"the position of {own} looks measured from the link before {other}: {change} that of {other} before the "
+            "import, or write motor_coupling in robot.yaml if both drives sit there"
+        )
+        yield _Mistake(text, relative, s.torque, (k,))
 
 
 def _tilted(plain: RigidFit) -> Iterator[tuple[float, float, float]]:

@@ -62,6 +62,10 @@ MISTAKES = {
         "effort": log.effort[:, [0, 2, 1, 3, 4, 5]],
         "velocity": None,
     },
+    "joint_3 looks measured from the link before joint_2: add that of joint_2": lambda log: {
+        "position": log.position - np.where(np.arange(6) == 2, log.position[:, [1]], 0.0),
+        "velocity": None,
+    },
     "0.8 times the derivative.*rate": lambda log: {"velocity": 0.8 * np.gradient(log.position, log.t, axis=0)},
     "-1 times the derivative.*flipped": lambda log: {"velocity": -np.gradient(log.position, log.t, axis=0)},
 }
