@@ -15,10 +15,9 @@ from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import paper_terms
 from agent.estimation.uncertainty import covariance, parameter_prior, silent_directions
-from agent.model import RESTS, IdentifiedModel, Reversal, condition_text
+from agent.model import BAD_CONDITION, RESTS, IdentifiedModel, Reversal, condition_text
 from agent.recording import Log, machines_of
 
-_BAD_CONDITION = 1000.0
 _NOTABLE_STANDSTILL = 0.05
 _TOO_FAST = 2.0  # times a joint's highest speed by the robot description
 _NAMED = 8  # parameters of directions that are not in the data
@@ -100,7 +99,7 @@ def _notes(model: IdentifiedModel, problem: Problem, fit: Estimate, silent: np.n
             f"Record positions with more digits to use faster motion: above the cut-off of {model.cutoff:g} Hz their "
             f"noise outweighs the torque, most on {model.robot.joint_names[problem.observation.noisy]}."
         )
-    if model.condition_number > _BAD_CONDITION:
+    if model.condition_number > BAD_CONDITION:
         number = condition_text(model.condition_number)
         yield (
             f"The condition number of the observation matrix is {number}: these motions hardly separate some "

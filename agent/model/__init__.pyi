@@ -21,6 +21,7 @@ from .friction_terms import (
     steady_columns as steady_columns,
 )
 from .identified_model import (
+    BAD_CONDITION as BAD_CONDITION,
     USUAL_CONDITION as USUAL_CONDITION,
     IdentifiedModel as IdentifiedModel,
     condition_text as condition_text,

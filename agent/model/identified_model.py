@@ -25,6 +25,8 @@ _NORMAL_95 = NormalDist().inv_cdf(0.975)
 _MANY_OPEN = 0.1  # of all combinations of parameters; four arms predict 1.5 to 9 times worse beyond it
 #: Rule of thumb for exciting trajectories (Gautier and Khalil 1992).
 USUAL_CONDITION = 100
+#: Beyond it motions hardly separate some parameters.
+BAD_CONDITION = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,11 +176,12 @@ class IdentifiedModel(RigidFrictionModel):
 
     @property
     def too_little_motion(self) -> tuple[str, ...]:
-        """Warning that the fit's logs leave many parameters open, or any where the filter's ends take much; or none."""
+        """Warning that the fit's logs leave many parameters open, or some and are short or hardly separate others."""
         count, missing = len(self.values), self.provenance.get("open_directions", 0)
         resting = [name for name, rests in zip(self.robot.joint_names, self._resting, strict=True) if rests]
         still = f" ({', '.join(resting)} stood still)" if resting else ""
-        if missing <= _MANY_OPEN * count and not (missing and self.provenance.get("short", False)):
+        poor = self.provenance.get("short", False) or self.condition_number > BAD_CONDITION
+        if missing <= _MANY_OPEN * count and not (missing and poor):
             return ()
         return (
             f"Too little motion: these logs leave {missing} of {count} combinations of parameters open{still}. "

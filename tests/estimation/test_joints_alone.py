@@ -29,6 +29,7 @@ def test_error_held_out_of_single_joints_is_that_of_other_motions(alone):
     assert np.all(error < 2.0 * model.group_rmse[0])
     assert np.all(model.group_rmse[0] < 2.0 * error)
     assert "folds of segments" in model.text()
+    assert model.too_little_motion, "single values are not known from such motions"
 
 
 def test_push_shows_with_a_model_from_single_joints(alone):
