@@ -135,13 +135,16 @@ def _likeliest(plain: RigidFit, pushing: np.ndarray, driven_on: np.ndarray) -> Q
     best = max((gain for gain, *_ in tried), default=0.0)
     if tried and any(_gain(before, plain.sprung(k).errors(torque))[0] > best - _AS_GOOD for k in range(robot.dof)):
         return None
-    for gain, _, mistake in tried:
-        if gain > best - _AS_GOOD:
-            mended, advice = mistake.fit.robot.gravity, ""
-            if mended != robot.gravity:
-                advice = MEND_GRAVITY if any(mended) else WITH_GRAVITY
-            return QualityFinding(mistake.text, tuple(robot.joint_names[k] for k in mistake.about), advice=advice)
-    return None
+    as_good = [mistake for gain, _, mistake in tried if gain > best - _AS_GOOD]
+    if not as_good:
+        return None
+    text, advice, likeliest = as_good[0].text, "", as_good[0]
+    upright = [mistake for mistake in as_good if mistake.fit.robot.gravity != robot.gravity]
+    if upright and likeliest.zero:
+        text += f"; or {upright[0].text}"
+    if upright and (likeliest.zero or likeliest is upright[0]):
+        advice = MEND_GRAVITY if any(upright[0].fit.robot.gravity) else WITH_GRAVITY
+    return QualityFinding(text, tuple(robot.joint_names[k] for k in likeliest.about), advice=advice)
 
 
 def _is_certain(gain: float, error: float) -> bool:
