@@ -4,6 +4,7 @@ No wheel has control_msgs, so these types are written by hand, by control_msgs 5
 the real ones where they are installed.
 """
 
+import os
 import sys
 from threading import Lock
 from types import ModuleType, SimpleNamespace
@@ -175,3 +176,25 @@ def test_without_the_types_no_goal_is_sent(link, monkeypatch):
     monkeypatch.setattr(links, "typed", lambda package, name: None)
     assert not link.goals()
     assert ros.typed("no_such_msgs.msg", "Nothing") is None
+
+
+@pytest.mark.parametrize(("chosen", "used"), [(None, "UDPv4"), ("DEFAULT", "DEFAULT")])
+def test_a_node_that_is_killed_holds_no_lock_that_others_wait_for(monkeypatch, chosen, used):
+    """By shared memory an agent that was killed kept the emulated arm from moving, braking and publishing for 3 s."""
+    name, seen = "FASTDDS_BUILTIN_TRANSPORTS", []
+    monkeypatch.setenv(name, chosen or "")
+    if chosen is None:
+        monkeypatch.delenv(name)
+    nothing = lambda *_, **__: SimpleNamespace(add_node=lambda node: None)  # noqa: E731
+    options = SimpleNamespace(NO=0)
+    init = lambda **_: seen.append(os.environ[name])  # noqa: E731
+    for package, values in {
+        "rclpy": {"Context": nothing, "init": init, "SignalHandlerOptions": options},
+        "rclpy.executors": {"SingleThreadedExecutor": nothing},
+        "rclpy.node": {"Node": nothing},
+    }.items():
+        module = ModuleType(package)
+        vars(module).update(values)
+        monkeypatch.setitem(sys.modules, package, module)
+    ros.Ros(0, "agent")
+    assert seen == [used]
