@@ -45,7 +45,8 @@ test: dev
 	@$(MAKE) --no-print-directory --jobs 2 lint pytest
 
 pytest: dev
-	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not verify"
+	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not verify and not alone"
+	$(BIN)/python -m pytest -m "not verify and alone" tests/faults
 
 # ROS 2 has an environment of its own (250 MB): its wheels restart every Python that they are installed for.
 ROS := .venv-ros

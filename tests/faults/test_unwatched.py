@@ -31,6 +31,8 @@ ATTACKS = {
     "disobedience": (Fault("disobey", "streaming", STRIKES), Fault("off_path", "streaming", STRIKES, 0.3)),
 }
 DELAYS = (0.0, 0.02, 0.04, 0.1)
+#: An emulated UR in real time takes most of a core: next to other tests the link is lost before the arm sets out.
+UR = pytest.param("ur", marks=pytest.mark.alone)
 #: Moves of seconds: an arm that disobeys but rests at a stop of its program looks like one that obeys.
 SLOW = LONG.replace("BEGIN\n", "BEGIN\n  $PROG_SPD_OVR := 10\n")
 
@@ -130,9 +132,8 @@ def attack(bench, request):
 def assert_stopped(one: Attacked, name: str) -> None:
     assert one.code in (4, 5), one.errors
     assert "Traceback" not in one.errors
-    if one.controller.motions_started == 0:  # refused, or the link was lost before the arm set out
-        said = ("samples/s now, the controller makes 500", "samples show a stationary arm until then")
-        assert any(text in one.errors for text in said), one.errors
+    if one.controller.motions_started == 0:
+        assert "samples/s now, the controller makes 500" in one.errors, one.errors
         return
     assert one.controller.motions_started == 1
     assert one.controller.ends != [EndReason.DONE], one.errors
@@ -148,21 +149,18 @@ def assert_stopped(one: Attacked, name: str) -> None:
         assert EndReason.WATCHDOG in one.faults.reasons
 
 
-@pytest.mark.parametrize("wire", [*WIRES, "ur"])
+@pytest.mark.parametrize("wire", [*WIRES, UR])
 @pytest.mark.parametrize("name", ["silence", "lag", "disobedience"])
 def test_stops_an_arm_that_cannot_be_watched(attack, wire, name):
     assert_stopped(attack(wire, ATTACKS[name], 0.0), name)
 
 
-@pytest.mark.parametrize("wire", ["tcp", "ur"])
+@pytest.mark.parametrize("wire", ["tcp", UR])
 def test_stops_an_arm_whose_samples_freeze(attack, wire):
     """Within 0.7 s by the controller's clock, the way there and back included."""
-    for _ in range(3):  # a busy computer may lose the link before the arm sets out, which says nothing about freezing
-        one = attack(wire, ATTACKS["frozen"], 0.0)
-        assert_stopped(one, "frozen")
-        if one.controller.motions_started:
-            break
-    assert "positions" in one.errors
+    one = attack(wire, ATTACKS["frozen"], 0.0)
+    assert_stopped(one, "frozen")
+    assert "positions" in one.errors, one.errors
     assert 0.0 < one.faults.stopped - one.faults.struck <= patience(0.7)
 
 
