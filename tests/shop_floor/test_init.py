@@ -82,6 +82,13 @@ def init_at(controller, folder: Path, monkeypatch):
     return write_recipe(folder / "cell.yaml", AT)
 
 
+def test_a_wrong_value_is_said_before_the_controller_is_asked(tmp_path: Path, monkeypatch):
+    monkeypatch.setitem(AT, "cone", "much")
+    with pytest.raises(InputError, match="--cone much: "):
+        init_at(Controller(TX40_JOINTS, TX40), tmp_path, monkeypatch)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_controller_describes_the_robot_of_its_recipe(tmp_path: Path, monkeypatch):
     controller = Controller(TX40_JOINTS, TX40)
     recipe = load_recipe(init_at(controller, tmp_path, monkeypatch))

@@ -52,16 +52,17 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
         raise InputError(f"{path}: exists already; name another file, or move it away")
     check_output(path, ())
     on_terminal = sys.stdin.isatty() and sys.stderr.isatty()
+    for name in _QUESTIONS:
+        if (value := given.get(name)) is not None:
+            try:
+                _check(name, value)
+            except InputError as error:
+                raise InputError(f"--{name} {value}: {error}") from None
     given = given | {"robot": given.get("robot") or _robot_there(path.parent, given)}
     answers: dict[str, str] = {}
     box: dict[str, str] | None = None
     for name, words in _QUESTIONS.items():
         value, default = given.get(name), USUAL["address" if name == "controller" else name]
-        if value is not None:
-            try:
-                _check(name, value)
-            except InputError as error:
-                raise InputError(f"--{name} {value}: {error}") from None
         if name in _QUANTITIES:
             box = _box_of(answers["robot"]) if box is None else box
             default = box.get(name, default)
