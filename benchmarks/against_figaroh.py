@@ -81,9 +81,9 @@ def export_data(folder: Path) -> dict:
 
 def held_out_errors(logs: dict, folder: Path) -> list[tuple]:
     """Label, held-out errors by the same filter, and seconds of the fit, of the agent and of what figaroh predicted."""
+    from agent.core import one_blas_thread
     from agent.estimation import EstimationSettings, FilterSettings, estimate
     from agent.estimation.filtering import motions
-    from agent.excitation import one_blas_thread
     from agent.validation import validate
 
     rows = []

@@ -74,7 +74,8 @@ def candidates(trees: dict[str, Path]) -> None:
 
 def candidate_ms() -> dict[str, float]:
     """In a process of its own, with the agent of the tree it runs in: mean CPU [ms] of the parts."""
-    from agent.excitation import Candidates, Criterion, one_blas_thread
+    from agent.core import one_blas_thread
+    from agent.excitation import Candidates, Criterion
     from agent.excitation.loop_search import Scorer
     from agent.pipeline.plan import loop_problem
     from agent.recipe import load_recipe

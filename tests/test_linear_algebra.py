@@ -1,10 +1,14 @@
-"""Eigenvalues of symmetric matrices, also where the usual method gives up."""
+"""Eigenvalues of symmetric matrices, also where the usual method gives up, and threads of linear algebra."""
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from agent.core import symmetric_eigen
+from agent.core import InputError, symmetric_eigen
+from agent.diagnosis import diagnose
+from agent.estimation import estimate
+from tests.small_arms import make_arm
 
 
 @given(st.integers(1, 12), st.integers(0, 2**31), st.floats(0, 8))
@@ -26,3 +30,22 @@ def test_falls_back_if_a_method_does_not_converge(monkeypatch):
     values, vectors = symmetric_eigen(matrix)
     assert values == pytest.approx([1, 3])
     assert (vectors * values) @ vectors.T == pytest.approx(matrix)
+
+
+def blas_threads():
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+@pytest.mark.parametrize("work", [estimate, diagnose])
+def test_calls_from_python_solve_small_systems_on_one_thread_and_leave_threads_as_they_were(work):
+    class Logs(list):
+        def __len__(self):
+            during.append(blas_threads())
+            return 0
+
+    during = []
+    with threadpool_limits(2, "blas"):
+        with pytest.raises(InputError, match="no logs"):
+            work(make_arm("RR"), Logs())
+        assert blas_threads() == {2}
+    assert during == [{1}]

@@ -41,7 +41,12 @@ from .files import (
     written_whole as written_whole,
 )
 from .formats import counted as counted, csv_text as csv_text, error_text as error_text, plus_minus as plus_minus
-from .numerics import keep_freed_memory as keep_freed_memory, symmetric_eigen as symmetric_eigen
+from .numerics import (
+    keep_freed_memory as keep_freed_memory,
+    on_one_blas_thread as on_one_blas_thread,
+    one_blas_thread as one_blas_thread,
+    symmetric_eigen as symmetric_eigen,
+)
 from .on_dask import DaskEngine as DaskEngine
 from .output import (
     flush_results as flush_results,

@@ -1,8 +1,16 @@
-"""Linear algebra that NumPy lacks, and memory for arrays."""
+"""Linear algebra that NumPy lacks, and threads and memory for it."""
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, ParamSpec, TypeVar
+
 import numpy as np
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
 
 
 def symmetric_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -28,3 +36,29 @@ def keep_freed_memory() -> None:
     pages again. Elsewhere it does nothing.
     """
     bytes(30_000_000)  # below glibc's largest threshold, 32 MiB
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Linear algebra on one thread inside: the last bits depend on how many there are."""
+    return _thread_pools().limit(limits=1)
+
+
+def on_one_blas_thread(work: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+    """Decorator of functions that solve thousands of small systems: threads would take longer to share each of them
+    than to solve it, five times as long where other programs run."""
+
+    @functools.wraps(work)
+    def alone(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+        with one_blas_thread():
+            return work(*args, **kwargs)
+
+    return alone
+
+
+@functools.cache
+def _thread_pools() -> Any:
+    # Finding the pools takes milliseconds, limiting them microseconds.
+    import scipy.linalg  # noqa: F401  its own BLAS must be loaded to be found
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.core import InputError, keep_freed_memory
+from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
 from agent.diagnosis.gap.adequacy import remainders
@@ -48,6 +48,7 @@ from agent.simulators import SIMULATOR, Simulator
 _ONE_MOTION = "one motion only: held-out figures come from parts of it; another motion would be a harder test"
 
 
+@on_one_blas_thread
 def diagnose(
     robot: RobotDescription,
     logs: Sequence[Log],

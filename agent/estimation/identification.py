@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from agent.core import InputError, keep_freed_memory
+from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
@@ -71,6 +71,7 @@ class EstimationSettings:
         return cls(FilterSettings(cutoff, order), method or AUTO, friction)
 
 
+@on_one_blas_thread
 def estimate(
     robot: RobotDescription, logs: Sequence[Log], settings: EstimationSettings | None = None, tool: Tool | None = None
 ) -> IdentifiedModel:

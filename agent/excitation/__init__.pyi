@@ -1,5 +1,5 @@
 from .candidates import Candidates as Candidates, Loop as Loop, LoopProblem as LoopProblem, via_joints as via_joints
-from .criterion import Criterion as Criterion, one_blas_thread as one_blas_thread
+from .criterion import Criterion as Criterion
 from .genetic import LoopScore as LoopScore, ranking as ranking
 from .loop_search import search as search
 from .reach import check_sub_region as check_sub_region, working_box as working_box

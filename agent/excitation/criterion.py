@@ -14,12 +14,9 @@ not independently, has f = -inf.
 
 from __future__ import annotations
 
-import functools
-from contextlib import AbstractContextManager
-from typing import Any
-
 import numpy as np
 
+from agent.core import one_blas_thread
 from agent.robot import (
     PAPER_TERMS,
     Dynamics,
@@ -146,17 +143,3 @@ def torque_weights(robot: RobotDescription) -> np.ndarray:
     """(n,) τ_nom / max τ_nom on the joint side; ones where a joint has no nominal torque."""
     nominal = robot.nominal_torque
     return np.ones(robot.dof) if np.isnan(nominal).any() else nominal / nominal.max()
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Linear algebra on one thread inside: the last bits depend on how many there are."""
-    return _thread_pools().limit(limits=1)
-
-
-@functools.cache
-def _thread_pools() -> Any:
-    # Finding the pools takes milliseconds, limiting them microseconds.
-    import scipy.linalg  # noqa: F401  its own BLAS must be loaded to be found
-    from threadpoolctl import ThreadpoolController
-
-    return ThreadpoolController()

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InProcess, InputError, LocalProcesses, TaskEngine, available_cores
+from agent.core import InProcess, InputError, LocalProcesses, TaskEngine, available_cores, one_blas_thread
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
-from agent.excitation.criterion import one_blas_thread
 from agent.excitation.genetic import METHODS, LoopScore, ranking
 
 #: Starting another process costs as much as scoring this many candidates.

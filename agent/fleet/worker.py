@@ -16,8 +16,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from agent.core import AgentError, Console, InputError, finite, read_json, read_yaml, sha256_file, swept_folder
-from agent.excitation import one_blas_thread
+from agent.core import (
+    AgentError,
+    Console,
+    InputError,
+    finite,
+    one_blas_thread,
+    read_json,
+    read_yaml,
+    sha256_file,
+    swept_folder,
+)
 from agent.fleet.store import SCRATCH, Store, StoredFile, StoreError
 from agent.fleet.tasks import RUN_MODEL, RunQuestion, Task
 from agent.model import IdentifiedModel

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from agent.excitation import one_blas_thread
+from agent.core import one_blas_thread
 from agent.recipe import Recipe
 from benchmarks.evidence import criteria, few_data, local, search
 from benchmarks.evidence.loops import FIRST_MACHINE, SEARCHES

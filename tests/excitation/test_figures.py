@@ -4,7 +4,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from agent.excitation import Candidates, LoopProblem, one_blas_thread, search
+from agent.core import one_blas_thread
+from agent.excitation import Candidates, LoopProblem, search
 
 
 @pytest.mark.verify
