@@ -1,5 +1,5 @@
 from .corrected_simulator import corrected as corrected, supported_correction as supported_correction
-from .diagnosis import LARGE_ERROR as LARGE_ERROR, Diagnosis as Diagnosis
+from .diagnosis import LARGE_ERROR as LARGE_ERROR, TOGETHER as TOGETHER, Diagnosis as Diagnosis
 from .extension import extended_model as extended_model
 from .forward.simulation import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
 from .forward.windows import (

@@ -37,6 +37,8 @@ from agent.model import CATALOGUE, PAYLOAD
 from agent.robot import error_units, position_units
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
+#: Next motion where those of a model's fit, often of one joint each, leave its torque open.
+TOGETHER = "motions in which the joints move together, like those of these logs, with a healthy arm"
 #: In the warning of a gap that no effect explains better than what differs on a healthy arm.
 LARGE_ERROR = "times the model's own"
 
@@ -107,7 +109,7 @@ def build(
         where,
         causes,
         tuple(not_testable(dataset, found.search, smallest)),
-        next_experiment(causes, verdict.name, where, selected.zero_known)
+        next_experiment(causes, verdict.name, where, selected.zero_known, bool(dataset.open_joints.any()))
         if held is None
         else NextExperiment((), held.motion),
         _folds(dataset),
@@ -152,7 +154,7 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
             "explains it; compared with a usual simulator it is largest on "
             f"{names[int(np.argmax(gap.after * gap.unit / usual))]}"
         )
-    if not explanation.of_file and dataset.given and not selected.causes:
+    if not explanation.of_file and dataset.given and not selected.causes and not dataset.open_joints.any():
         if (absorbed := explanation.gap.absorbed) > 1 - LIMITS.explained:
             yield (
                 f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
@@ -196,10 +198,17 @@ def _path_gap(motion: MotionGap | None) -> PathGap:
 
 
 def next_experiment(
-    causes: Sequence[Cause], verdict: str, where: Sequence[JointShare], zero_known: bool = False
+    causes: Sequence[Cause],
+    verdict: str,
+    where: Sequence[JointShare],
+    zero_known: bool = False,
+    open_model: bool = False,
 ) -> NextExperiment | None:
     """A motion that would tell the first cause from what equals it, or more of the joints `where` most of the gap is;
-    None where nothing is open. `zero_known`: there was a log with the drives off."""
+    None where nothing is open. `zero_known`: there was a log with the drives off. `open_model`: the model's fit
+    leaves open the torque of these motions."""
+    if verdict == "unknown" and open_model:
+        return NextExperiment((), TOGETHER)
     if verdict == "unknown":
         joints = [entry.joint for entry in where if entry.share > LIMITS.most * where[0].share]
         return NextExperiment((), _WHEN_UNKNOWN.format(joints=", ".join(joints)))

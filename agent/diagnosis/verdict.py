@@ -5,6 +5,7 @@
 | `explained` | causes, the executed path or a simulator's numbers explain three quarters of the gap |
 | `ambiguous` | the same, but the first cause has rivals; or causes explain less, so that one is assumed (`supported`) |
 | `unknown` | there is a gap, and nothing that may be named explains it |
+| `unknown` | also where none shows, but these motions leave the torque of a joint open that the model was fitted to |
 | `no_gap` | there is none beyond the noise model |
 
 Causes pass two checks before: they are probable (`named`), and they explain motion that their fit did not see
@@ -45,6 +46,7 @@ def decide_verdict(
     path: Sequence[Cause] | None = None,
     numbers: Sequence[Cause] = (),
     by_numbers: float = 0.0,
+    judged: bool = True,
 ) -> Verdict:
     """Return the verdict on all that is known of a gap.
 
@@ -57,6 +59,8 @@ def decide_verdict(
         not be named.
     `numbers`, `by_numbers`
         Moved numbers of a simulator as causes, and the part of the gap that they close.
+    judged : bool
+        Whether the model's own uncertainty on these motions is small enough to find no gap.
     """
     if (by_effects := _explanation(causes, closure)) is not None:
         return replace(by_effects, causes=(*by_effects.causes, *filter(has_size, path or ())))
@@ -66,7 +70,7 @@ def decide_verdict(
     enough = by_numbers > (1 - LIMITS.least_share if gap else 0.0)
     if enough and (of_file := _explanation(numbers, by_numbers)) is not None:
         return of_file
-    return Verdict("unknown" if gap else "no_gap", (), closure)
+    return Verdict("unknown" if gap or not judged else "no_gap", (), closure)
 
 
 def decide_by_position(

@@ -42,7 +42,7 @@ from agent.diagnosis.verdict import (
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
-from agent.robot import RobotDescription
+from agent.robot import RobotDescription, torque_units
 from agent.simulators import SIMULATOR, Simulator
 
 _ONE_MOTION = "one motion only: held-out figures come from parts of it; another motion would be a harder test"
@@ -146,7 +146,9 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
         return decide_by_position(sized, differ, gap.closure, bool((errs & beyond_usual(least, given.fit)).any()))
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
-    verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers)
+    dataset = explanation.dataset
+    judged = not np.any(dataset.open_joints & (gap.before * gap.unit > dataset.usual_error))
+    verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers, judged)
     return with_numbers(verdict, explanation, numbers) if explanation.of_file else verdict
 
 
@@ -188,6 +190,14 @@ def _samples(log: Log) -> tuple[bytes, bytes]:
 
 def _of_model(dataset: Dataset) -> Iterator[str]:
     """Warning about a large error of the model itself: smaller effects are not visible."""
+    if dataset.open_joints.any():
+        units = torque_units(dataset.robot)
+        names = dataset.robot.joint_names
+        sizes = (f"{names[k]} {dataset.open_error[k]:.3g} {units[k]}" for k in np.flatnonzero(dataset.open_joints))
+        yield (
+            "the motions of the model's fit leave the torque in these logs open (standard deviation): "
+            f"{', '.join(sizes)}. Smaller gaps may not show there"
+        )
     share = dataset.model_error
     if share is not None and share > LIMITS.weak_model:
         yield (

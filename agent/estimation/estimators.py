@@ -55,13 +55,13 @@ def huber(problem: Problem) -> Estimate:
     moving or at standstill, is 1.4826 times the median absolute residual.
     """
     observation = problem.observation
-    still = standstill(observation)
+    still, held = standstill(observation), [segment.held for segment in observation.segments]
     moments, weights = problem.moments, problem.weights()
     parameters = problem.solve(weights)
     share = 0.0
     for _ in range(_HUBER_ROUNDS):
         rows = problem.residuals(parameters)
-        scale = _scales(rows, still)
+        scale = _scales(rows, still, held)
         trusted = [
             1 / np.maximum(1, np.abs(block) / (_TUNING * scale[stop.astype(int), np.arange(block.shape[1])]))
             for block, stop in zip(rows, still, strict=True)
@@ -74,12 +74,12 @@ def huber(problem: Problem) -> Estimate:
     return problem.estimate(weights, note, moments=moments)
 
 
-def _scales(rows: list[np.ndarray], still: list[np.ndarray]) -> np.ndarray:
+def _scales(rows: list[np.ndarray], still: list[np.ndarray], held: list[np.ndarray]) -> np.ndarray:
     """(2, n) robust standard deviations, moving and at standstill."""
-    residual, stopped = np.concatenate(rows), np.concatenate(still)
+    residual, stopped, free = np.concatenate(rows), np.concatenate(still), ~np.concatenate(held)
     scale = np.empty((2, residual.shape[1]))
     for joint in range(residual.shape[1]):
-        moving = residual[~stopped[:, joint], joint]
+        moving = residual[~stopped[:, joint] & free[:, joint], joint]
         standing = residual[stopped[:, joint], joint]
         moving, standing = (part if len(part) else residual[:, joint] for part in (moving, standing))
         scale[0, joint] = 1.4826 * np.median(np.abs(moving))

@@ -14,7 +14,7 @@ from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
 from agent.estimation.normal_equations import predicts_better
 from agent.estimation.observation import ENOUGH_TIME, Observation, Partition, observe, partition
-from agent.estimation.problem import Problem
+from agent.estimation.problem import Problem, held_runs
 from agent.estimation.selection import (
     LOWEST,
     choose,
@@ -94,6 +94,8 @@ def estimate(
     settings = settings or EstimationSettings()
     observation = observe_predictable(rigid_bodies(robot, tool), logs, settings.filter)
     cells = partition(observation.segments)
+    if held_runs(observation):
+        observation = _first_problem(observation, cells, "offset").discount_held().observation
     names = _COMPARED if settings.method == AUTO else (settings.method,)
     terms = {name: ESTIMATORS[name].friction or settings.friction for name in names}
     problems = {friction: _problem(observation, cells, friction) for friction in dict.fromkeys(terms.values())}
@@ -109,7 +111,7 @@ def _problem(observation: Observation, cells: Partition, friction: str) -> Probl
     usual = choose_links(_first_problem(observation, cells, "offset"))
     if friction == "plain":
         return usual
-    selected = select_friction_terms(observation, cells).with_own_prior_weight()
+    selected = select_friction_terms(observation, cells).discount_held().with_own_prior_weight()
     weights = selected.weights()
     before, after = (each.held_out(weights) for each in (usual, selected))
     return selected if predicts_better(before, after, weights, _MORE_FRICTION) else usual

@@ -100,7 +100,7 @@ def collect(
     rows = np.zeros((cells, 2, n), dtype=int)
     still = standstill(observation)
     for number, (segment, columns) in enumerate(zip(observation.segments, friction, strict=True)):
-        labels, stopped = partition.labels[number], still[number]
+        labels, stopped, held = partition.labels[number], still[number], segment.held
         for joint, (acting, block) in enumerate(observation.joint_rows(segment, terms, columns)):
             if len(sums) == joint:
                 index.append(acting)
@@ -112,14 +112,17 @@ def collect(
             for first, stop in pairwise(edges):
                 cell, group = divmod(int(keys[first]), 2)
                 sums[joint][cell, group] += block[first:stop].T @ block[first:stop]
-                rows[cell, group, joint] += stop - first
+                rows[cell, group, joint] += stop - first - np.count_nonzero(held[first:stop, joint])
     return Moments(observation.rigid.count + len(terms), tuple(index), tuple(sums), rows)
 
 
 def standstill(observation: Observation) -> list[np.ndarray]:
-    """Per segment (S', n) bool: where a joint stands still, so that its friction is anything within stiction."""
+    """Per segment (S', n) bool: where a joint stands still, so that its friction is anything within stiction.
+
+    Not where it is held: these rows have a share that makes them comparable to those of the sliding joint.
+    """
     slowest = observed_standstill_speed(observation)
-    return [np.abs(segment.speed) <= slowest for segment in observation.segments]
+    return [(np.abs(segment.speed) <= slowest) & ~segment.held for segment in observation.segments]
 
 
 def observed_standstill_speed(observation: Observation) -> np.ndarray:

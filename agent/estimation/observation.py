@@ -30,7 +30,8 @@ from agent.robot import RigidBodies, RobotDescription
 class Segment:
     """One motion, filtered: S' samples. torque (S', n); rigid: per joint (S', b_i) of its base-parameter columns.
 
-    `log_index` counts logs, `speed` (S', n) is the joints' speed at the same samples.
+    `log_index` counts logs, `speed` (S', n) is the joints' speed at the same samples. `share` (S', n), 1 if None,
+    multiplies rows of a fit; below 1 they are those of a held joint.
     """
 
     log_index: int
@@ -39,6 +40,12 @@ class Segment:
     speed: np.ndarray
     torque: np.ndarray
     rigid: tuple[np.ndarray, ...]
+    share: np.ndarray | None = None
+
+    @property
+    def held(self) -> np.ndarray:
+        """(S', n) bool."""
+        return np.zeros(self.speed.shape, dtype=bool) if self.share is None else self.share < 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +110,7 @@ class Observation:
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Joint after joint: indices (c,) into [base parameters, terms], and (S', c + 1): these columns, the torque.
 
-        `friction` (S', T) is that of the terms on their axles.
+        `friction` (S', T) is that of the terms on their axles. Both are multiplied by the rows' share.
         """
         coupling = self.robot.coupling
         axles = np.array([term.axle for term in terms], dtype=int)
@@ -115,6 +122,8 @@ class Observation:
             rows[:, :base] = segment.rigid[joint]
             np.multiply(friction[:, felt], share[felt], out=rows[:, base:-1])
             rows[:, -1] = segment.torque[:, joint]
+            if segment.share is not None:
+                rows *= segment.share[:, joint, None]
             yield np.concatenate([support, self.rigid.count + felt]), rows
 
 

@@ -7,12 +7,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.estimation.normal_equations import Moments, autocorrelation_time, collect, log_evidence, reweight, solve_sum
+from agent.estimation.normal_equations import (
+    Moments,
+    autocorrelation_time,
+    collect,
+    log_evidence,
+    observed_standstill_speed,
+    reweight,
+    solve_sum,
+)
 from agent.estimation.observation import Observation, Partition
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
 from agent.model import FrictionTerm
 
 _ROUNDS = 4  # of weights from residuals
+_MOST = 0.5  # half, of samples: most of them
 #: Weighted sum of moments (p + 1, p + 1) to parameters (p,).
 Solver = Callable[[np.ndarray], np.ndarray]
 
@@ -85,7 +94,7 @@ class Problem:
 
     def autocorrelation_times(self, parameters: np.ndarray) -> np.ndarray:
         """(n,) samples per independent one, of the residuals of parameters (p,)."""
-        return autocorrelation_time(self.residuals(parameters))
+        return autocorrelation_time(self.free_residuals(parameters))
 
     def weights(self) -> np.ndarray:
         """(2, n) weights from the residuals that the weights before leave, starting from equal ones of sliding joints.
@@ -140,6 +149,42 @@ class Problem:
             result.append(error)
         return result
 
+    def discount_held(self) -> Problem:
+        """The same problem where rows of joints that stand still while others move count as little as they say.
+
+        Stiction takes up changes of their load, up to the Coulomb level f and always with the same sign. With the
+        weight that their residuals earn, inertia that couples joints came out half as large, and no scatter showed it.
+        At worst the error of a run of N rows is proportional to one of its columns. So the run counts as one
+        independent row with an error that is uniform within ±f: its rows are multiplied by √(3 k σ² / (N f²)), with σ
+        the deviation of the sliding joint and k rows per independent one. All three are from a fit without held rows.
+        """
+        if not (runs := held_runs(self.observation)):
+            return self
+        fit = self._with_shares([np.where(rows > 0, 0.0, 1.0) for rows in runs])
+        weights = fit.weights()
+        parameters = fit.solve(weights)
+        level = np.zeros(self.observation.robot.dof)
+        for term, value in zip(self.terms, parameters[self.observation.rigid.count :], strict=True):
+            level[term.axle] += abs(value) if term.form == "coulomb" else 0.0
+        level = np.maximum(level @ np.abs(self.observation.robot.coupling), 1e-9)
+        row = float(np.median(fit.autocorrelation_times(parameters))) / weights[0] / (level**2 / 3)
+        below = 1 - 1e-9  # a share of 1 means not held
+        shares = (np.sqrt(np.minimum(row / np.maximum(rows, 1), below)) for rows in runs)
+        return self._with_shares(np.where(rows > 0, share, 1.0) for rows, share in zip(runs, shares, strict=True))
+
+    def _with_shares(self, shares: Iterable[np.ndarray]) -> Problem:
+        observation = self.observation
+        parts = zip(observation.segments.items, shares, strict=True)
+        items = tuple(replace(segment, share=share) for segment, share in parts)
+        observation = replace(observation, segments=replace(observation.segments, items=items))
+        moments = collect(observation, self.partition, self.terms, self.friction())
+        return replace(self, observation=observation, moments=moments)
+
+    def free_residuals(self, parameters: np.ndarray) -> list[np.ndarray]:
+        """The same with zero where a joint is held: that error is stiction's, and does not scatter."""
+        parts = zip(self.residuals(parameters), self.observation.segments, strict=True)
+        return [np.where(segment.held, 0.0, rows) for rows, segment in parts]
+
     def correlation(self, rows: list[np.ndarray]) -> np.ndarray:
         """(p,) Xᵀ r for r given segment by segment (S', n)."""
         total = np.zeros(self.moments.parameters)
@@ -147,6 +192,27 @@ class Problem:
             for joint, (index, block) in enumerate(self.observation.joint_rows(segment, self.terms, friction)):
                 total[index] += block[:, :-1].T @ given[:, joint]
         return total
+
+
+def held_runs(observation: Observation) -> list[np.ndarray]:
+    """Per segment (S', n) int: length of the run in which a joint is held; 0 where it is not. Nothing if none is.
+
+    A held joint stands still in most of a segment while others move, and moves elsewhere.
+    """
+    slowest = observed_standstill_speed(observation)
+    still = [np.abs(segment.speed) <= slowest for segment in observation.segments]
+    moves = np.any([~stopped.all(axis=0) for stopped in still], axis=0)
+    lengths = []
+    for stopped in still:
+        others = np.append(0, np.cumsum(~stopped.all(axis=1)))
+        runs = np.zeros(stopped.shape, dtype=int)
+        for joint in np.flatnonzero(moves & (stopped.mean(axis=0) > _MOST)):
+            edges = np.flatnonzero(np.diff(stopped[:, joint], prepend=False, append=False)).tolist()
+            for first, stop in zip(edges[::2], edges[1::2], strict=True):
+                if others[stop] - others[first] > _MOST * (stop - first):
+                    runs[first:stop, joint] = stop - first
+        lengths.append(runs * (np.mean(runs > 0, axis=0) > _MOST))
+    return lengths if any(map(np.any, lengths)) else []
 
 
 def _kept(observation: Observation, columns: Iterable[np.ndarray]) -> list[np.ndarray]:

@@ -65,7 +65,7 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
     observation = observe(rigid, logs, FilterSettings(model.cutoff, model.order))
     observation = _without_effects(observation, model)
     cells = partition(observation.segments)
-    problem = Problem.pose(observation, cells, model.terms, model.base_values)
+    problem = Problem.pose(observation, cells, model.terms, model.base_values).discount_held()
     if parameters == "all":
         problem = problem.with_own_prior_weight()
         fit = ESTIMATORS[model.method].fit(problem)

@@ -78,7 +78,8 @@ def _noise(problem: Problem, fit: Estimate) -> np.ndarray:
     observation = problem.observation
     joints = np.arange(observation.robot.dof)
     root = [np.sqrt(fit.weights)[still.astype(int), joints] for still in standstill(observation)]
-    scaled = [rows * scale for rows, scale in zip(problem.residuals(fit.parameters), root, strict=True)]
+    residuals = problem.free_residuals(fit.parameters)
+    scaled = [rows * scale for rows, scale in zip(residuals, root, strict=True)]
     spectra = _spectra(scaled)
     within = np.sum(fit.weights * problem.moments.energy(fit.parameters), axis=0)
     without = np.sum(fit.weights * fit.held_out.sum(axis=0), axis=0)
@@ -96,15 +97,19 @@ def _noise(problem: Problem, fit: Estimate) -> np.ndarray:
 
 
 def _spectra(rows: list[np.ndarray]) -> np.ndarray:
-    """(F, n) power spectrum of (S', n) series, 1 at all frequencies for independent rows of variance 1 (Welch's)."""
+    """(F, n) power spectrum of (S', n) series, 1 at all frequencies for independent rows of variance 1 (Welch's).
+
+    Zeros do not count: they are rows of held joints.
+    """
     length = min(_SPECTRUM, min(len(part) for part in rows))
     window = np.hanning(length + 2)[1:-1, None]
-    pieces = [
-        np.abs(np.fft.rfft(part[first : first + length] * window, axis=0)) ** 2
-        for part in rows
-        for first in range(0, len(part) - length + 1, max(1, length // 2))
-    ]
-    return np.mean(pieces, axis=0) / np.sum(window**2)
+    power, energy = np.zeros(1), np.zeros(1)
+    for part in rows:
+        for first in range(0, len(part) - length + 1, max(1, length // 2)):
+            piece = part[first : first + length]
+            power = power + np.abs(np.fft.rfft(piece * window, axis=0)) ** 2
+            energy = energy + np.sum(window**2 * (piece != 0), axis=0)
+    return np.asarray(power / np.maximum(energy, 1e-300))
 
 
 def silent_directions(moments: Moments, weights: np.ndarray, prior: Prior, times: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Any
 
 from agent.diagnosis import (
     LIMITS,
+    TOGETHER,
     amplitude,
     could_show,
     in_torque,
@@ -42,6 +43,7 @@ _NO_GAP = "no gap: model and robot agree within what may differ on a healthy arm
 _NOT_SHOWN = "no change found that these logs could show"
 _NO_SHAPE = "no smooth function of position, speed, acceleration or time explains it"
 _UNKNOWN = "there is a gap that no known effect explains"
+_NOT_JUDGED = "the model cannot judge these motions"
 #: Equivalents of a cause that are named, regimes and steps of an attribution, at most.
 _MOST_OTHERS, _MOST_REGIMES, _MOST_STEPS = 2, 2, 3
 #: Shares of the gap from which a joint is a main carrier, is described, and a step of the attribution is named.
@@ -84,7 +86,12 @@ def verdict_text(result: Mapping[str, Any]) -> str:
         )
     if result["verdict"] == "no_gap":
         return _NO_GAP if could_show(result) else _NOT_SHOWN
-    return _UNKNOWN
+    return _NOT_JUDGED if _not_judged(result) else _UNKNOWN
+
+
+def _not_judged(result: Mapping[str, Any]) -> bool:
+    """Whether a gap may be all due to what the model's fit leaves open."""
+    return (result.get("next_experiment") or {}).get("motion") == TOGETHER
 
 
 def verdict_name(result: Mapping[str, Any]) -> str:
@@ -341,8 +348,12 @@ def remainder_sentences(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
     if not result["causes"]:
-        healthy = result["verdict"] == "no_gap"
-        yield _found_if_there(result) if healthy else "The gap is certain; its cause is not known."
+        if result["verdict"] == "no_gap":
+            yield _found_if_there(result)
+        elif _not_judged(result):
+            yield "The gap may be all due to the model: its motions leave the torque of these logs open."
+        else:
+            yield "The gap is certain; its cause is not known."
         return
     cause = result["causes"][0]
     probability = f"probability {cause['probability']:.2f}"

@@ -76,7 +76,9 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
     largest: HeldTorque | None = None
     for joint, name in enumerate(dataset.robot.joint_names):
         background = float(fit.sigma[:, joint].min())
-        stretches = _of_joint(dataset, joint, [torque[:, joint] for torque in predicted], excess[:, joint])
+        by_model = [torque[:, joint] for torque in predicted]
+        error = float(np.hypot(background, dataset.open_error[joint]))
+        stretches = _of_joint(dataset, joint, by_model, excess[:, joint], error)
         energy = sum(stretch.energy for stretch in stretches)
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
         if torque < LAW.practical or energy < LIMITS.most * whole:
@@ -106,10 +108,11 @@ def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque
     return HeldTorque(joint, len(stretches), max(stretch.duration for stretch in stretches), limit, share)
 
 
-def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], excess: np.ndarray) -> list[_Stretch]:
-    """All stretches in which a joint's torque is constant. The torque by the model is given per motion, (S',) [N·m];
-    `excess` (S'total,) is its energy over the noise model."""
-    background = float(dataset.fit.sigma[:, joint].min())
+def _of_joint(
+    dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], excess: np.ndarray, error: float
+) -> list[_Stretch]:
+    """All stretches in which a joint's torque is constant. The torque by the model is given per motion, (S',) [N·m],
+    with its `error`; `excess` (S'total,) is its energy over the noise model."""
     stretches, row = [], 0
     for signals, by_model in zip(dataset.fit.signals, predicted, strict=True):
         log, time = dataset.logs[signals.log_index], signals.time[signals.kept]
@@ -120,7 +123,7 @@ def _of_joint(dataset: Dataset, joint: int, predicted: Sequence[np.ndarray], exc
         if len(stamps) < LIMITS.fewest:
             continue
         rests = np.interp(stamps, time, dataset.fit.near_rest[rows, joint].astype(float)) > 0
-        flags = _stands_still(stamps, torque, np.interp(stamps, time, by_model), rests, background)
+        flags = _stands_still(stamps, torque, np.interp(stamps, time, by_model), rests, error)
         highest = np.sqrt(2 * np.log(len(torque))) * _noise(torque)  # of as many samples of normal noise
         largest = float(np.abs(torque).max() - highest)
         for first, last in _runs(flags):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -79,6 +80,32 @@ class Dataset:
     def held(self) -> np.ndarray:
         """(p, p) covariance of the parameters as they were given."""
         return self.model.covariance if self.servos is None else self.servos.covariance
+
+    @cached_property
+    def open_error(self) -> np.ndarray:
+        """(n,) [N·m] standard deviation of the predicted torque due to the model's parameters, root mean square.
+
+        It is large along parameter directions that the logs of the fit did not excite. Zero for a simulator's file, and
+        for a model of these logs.
+        """
+        error = np.zeros(self.robot.dof)
+        if not self.given or self.model.method == SIMULATOR:
+            return error
+        for joint, (rows, index) in enumerate(zip(self.fit.rows, self.fit.index, strict=True)):
+            columns = rows[:, :-1] * self.fit.sigma[:, joint, None]
+            moments = columns.T @ columns / len(columns)
+            error[joint] = np.sqrt(max(np.sum(moments * self.model.covariance[np.ix_(index, index)]), 0.0))
+        return error
+
+    @property
+    def open_joints(self) -> np.ndarray:
+        """(n,) bool: joints whose torque on these motions is open by more than usual of the model's held-out error."""
+        return np.asarray(self.open_error > self.usual_error)
+
+    @property
+    def usual_error(self) -> np.ndarray:
+        """(n,) [N·m] largest error of the model in motion that is its own."""
+        return np.asarray(LIMITS.usual_error * self.fit.sigma.min(axis=0))
 
     @property
     def of(self) -> str:

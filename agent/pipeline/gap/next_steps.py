@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS, could_show
+from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS, TOGETHER, could_show
 from agent.experiment import BRAKES, DRIVES_OFF
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel
 from agent.pages import NextStep
@@ -32,11 +32,8 @@ def after_diagnosis(
         question, report=None, out=None, next_recipe=None, next_payload=None, planning_budget=PLANNING_BUDGET
     )
     named = ["--robot", robot] if robot else []
-    if result["verdict"] == "no_gap" and not could_show(result):
-        return [_what_the_model_lacks(named, question, logs)]
     if result["verdict"] == "no_gap":
-        large = any(LARGE_ERROR in warning for warning in result["warnings"])
-        return [NextStep("record more logs, or estimate again." if large else "nothing to do: keep the model.")]
+        return [_after_no_gap(result, named, question, logs)]
     new, experiment = _new_log(logs), result["next_experiment"] or {}
     replaced = experiment.get("motion", "").startswith(SAME_MOTIONS)  # by logs with a torque that can be judged
     words, paths = ["agent", "diagnose", *named, *asked.options()], [] if replaced else list(map(str, logs))
@@ -49,6 +46,8 @@ def after_diagnosis(
         loaded = [NextStep(what, shlex.join([*words, "--next", str(recipe), "--payload", mass, "-o", folder, *paths]))]
     if question.next_recipe is not None and experiment.get("program"):
         return [*_run_planned(experiment, question.next_recipe, again, new), *loaded]
+    if experiment.get("motion") == TOGETHER:
+        return [_estimate_again(named, question.model, new)]
     if not result["causes"] or result["verdict"] == "ambiguous":
         if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
             again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *paths])
@@ -88,13 +87,28 @@ def _run_planned(experiment: Mapping[str, Any], planned_for: Path, again: str, n
     ]
 
 
+def _estimate_again(named: Sequence[str], path: Path | None, new: str) -> NextStep:
+    """The step where the fit of a model leaves open what the logs move through."""
+    assert path is not None
+    model = IdentifiedModel.load(path)
+    robot = named or ["--robot", model.robot.name]
+    logs = [entry["log"] for entry in model.provenance["logs"]]
+    command = shlex.join(["agent", "estimate", *robot, "-o", f"new_{path.name}", *logs, new])
+    return NextStep(f"record it as {new}, then estimate again and diagnose with the new model:", command)
+
+
 def _new_log(logs: Sequence[Path]) -> str:
     """Name of a log that is still to be recorded, in commands that people copy: what these are, file or folder."""
     return "new/" if logs[-1].is_dir() else f"new{logs[-1].suffix}"
 
 
-def _what_the_model_lacks(named: Sequence[str], question: GapQuestion, logs: Sequence[Path]) -> NextStep:
-    """The step after a diagnosis whose logs could not show a change."""
+def _after_no_gap(
+    result: Mapping[str, Any], named: Sequence[str], question: GapQuestion, logs: Sequence[Path]
+) -> NextStep:
+    """The step after a diagnosis that found nothing, also where its logs could not show a change."""
+    if could_show(result):
+        large = any(LARGE_ERROR in warning for warning in result["warnings"])
+        return NextStep("record more logs, or estimate again." if large else "nothing to do: keep the model.")
     if question.model is None:
         more = shlex.join(["agent", "diagnose", *named, "--next", "RECIPE", "-o", "next", *map(str, logs)])
         return NextStep("plan a motion that shows more:", more)
