@@ -10,9 +10,10 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.simulators.corrected.corrected_file import write_corrected
-from tests.conftest import loaded
+from tests.conftest import ROOT, loaded
 from tests.model.correcting import PATHS, corrected, entry, motion, simulator, torque_of_file
 
+EFFECTS_FILE = ROOT / "agent" / "simulators" / "corrected" / "standalone_effects.py"
 #: Effect, joints and parameters of every form.
 CASES = {
     "friction": "friction_change lift coulomb_change=0.7 viscous_change=0.2",
@@ -134,6 +135,49 @@ def test_mujoco_takes_the_effects_as_passive_forces(tmp_path):
         assert np.all(np.isfinite(data.qpos))
     finally:
         mujoco.set_mjcb_passive(None)
+
+
+def test_a_light_rotor_behind_a_heavy_link_follows_its_gear_with_play():
+    """Against rotor and link as two bodies: MuJoCo ties the rotor to ten times its inertia, which the effect unties."""
+    import mujoco
+
+    module, rotor, link, gap, weight, kp, kv, step = loaded(EFFECTS_FILE), 0.04, 0.4, 0.02, 11.8, 100.0, 6.0, 1e-3
+    stiffness, damper = link * (2 * np.pi * 40) ** 2, 0.24 * link * 2 * np.pi * 40
+    gear = {"share": 1.0, "stiffness": stiffness, "damper": damper, "gap": gap}
+    module.ROTORS, module.ARMATURE, module.REVERSAL, module.JOINTS = (rotor,), (0.0,), (0.01,), ("j",)
+    module.EFFECTS = ({"effect": "backlash", "form": "arm_two_mass", "joints": (0,), "parameters": gear},)
+    model = mujoco.MjModel.from_xml_string(
+        f'''<mujoco><compiler angle="radian"/><option timestep="{step}" integrator="implicitfast"/><worldbody><body>
+        <joint name="j" axis="0 1 0" armature="{rotor}"/>
+        <inertial pos="0.3 0 0" mass="{weight / 0.3 / 9.81}" diaginertia="0.01 {link - 0.3 * weight / 9.81} 0.04"/>
+        </body></worldbody><actuator><position joint="j" kp="{kp}" kv="{kv}"/></actuator></mujoco>'''
+    )
+    data = mujoco.MjData(model)
+    time = step * np.arange(2000)
+    asked = 1.57 + 0.5 * np.sin(4 * time) - 0.37 * np.exp(-20 * time)
+    positions = np.empty(len(time))
+    data.qpos[0] = asked[0]
+    try:
+        module.install(mujoco, model, ("j",))
+        for k, now in enumerate(asked):
+            positions[k] = data.qpos[0]
+            data.ctrl[0] = now
+            mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mjcb_passive(None)
+    h, expected, angle, speed, turning = step / 20, np.empty(len(time)), asked[0], 0.0, 0.0
+    place = angle + gap / 2 + weight * np.cos(angle) / stiffness
+    for k, now in enumerate(asked):
+        expected[k] = angle
+        for _ in range(20):
+            twist = angle - place
+            beyond = twist - min(max(twist, -gap / 2), gap / 2)
+            pull = stiffness * beyond + (damper * (speed - turning) if beyond else 0.0)
+            speed += h * (kp * (now - angle) - kv * speed - pull) / rotor
+            turning += h * (pull + weight * np.cos(place)) / link
+            angle, place = angle + h * speed, place + h * turning
+    assert np.ptp(expected) > 0.5
+    assert np.sqrt(np.mean((positions - expected)[500:] ** 2)) < 0.2 * gap
 
 
 def test_a_payload_without_a_mass_gives_no_torque_and_a_warning(tmp_path):

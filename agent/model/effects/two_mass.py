@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from agent.model.effect_inputs import MotionSignals
+from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
@@ -163,10 +163,13 @@ class TwoMass(Effect):
     def _lead(self, signals: MotionSignals, k: int, settings: Numbers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return signals.memory["leads"][_key(k, settings)]
 
+    def reported(self, reference: NominalModel, settings: Numbers, values: Numbers) -> dict[str, float]:
+        return _behind_the_gear({**settings, **values})
+
     def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any]:
         """With the damper of a link of its mean inertia."""
-        damper = 2 * values["damping"] * math.sqrt(values["stiffness"] * inertia[0])
-        return {**values, "damper": damper}
+        whole = _behind_the_gear(values)
+        return {**whole, "damper": 2 * whole["damping"] * math.sqrt(whole["stiffness"] * inertia[0])}
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (k,) = joints
@@ -175,6 +178,16 @@ class TwoMass(Effect):
         felt = signals.mass[:, :, k] * second[:, None] + signals.link_slope[:, :, k] * lead[:, None]
         felt[:, k] = torque
         return {j: -felt[:, j, None] for j in range(signals.q.shape[1])}
+
+
+def _behind_the_gear(values: Numbers) -> dict[str, float]:
+    """The parameters of a gear behind which is all of the link: a share of the torque is a twist larger by as much.
+
+    An arm of which more than its links is behind a gear falls.
+    """
+    share = values["share"]
+    twist = {"gap": share * values["gap"]} if "gap" in values else {}
+    return {**values, "stiffness": values["stiffness"] / share, **twist, "share": 1.0}
 
 
 def _inertia(context: FitContext, k: int) -> float:

@@ -239,6 +239,10 @@ class Effects:
         return felt
 
 
+def _copied(states: dict[Any, Any]) -> dict[Any, Any]:
+    return {key: _copied(value) if isinstance(value, dict) else value for key, value in states.items()}
+
+
 def _harmonics(p: Any, angle: Array) -> Array:
     return sum(
         (
@@ -249,10 +253,36 @@ def _harmonics(p: Any, angle: Array) -> Array:
     )
 
 
+def _settled(follows: Any, before: Array, own: Array) -> Array:
+    """The acceleration (n,) that follows from itself; gears see `own` (m, n) of it, and answer in proportion but where
+    teeth meet within the step."""
+    first = follows(before)
+    answers = np.stack([follows(before + way) - first for way in np.linalg.pinv(own).T], axis=1)
+    more = np.linalg.solve(np.eye(len(own)) - own @ answers, own @ (first - before))
+    return np.asarray(first + answers @ more)
+
+
+def _slopes(mujoco: Any, m: Any, d: Any, moved: Any, at: Array, dof: Array) -> Array:
+    """(n, n) [N·m/rad] change of the inverse dynamics of the bodies with the position of each joint (columns)."""
+    gradient, side = np.empty((len(dof), len(dof))), np.zeros((2, m.nv))
+    moved.qvel[:], moved.qacc[:] = d.qvel, d.qacc
+    for column, k in enumerate(at):
+        for way, torque in zip((-1e-5, 1e-5), side, strict=True):
+            moved.qpos[:] = d.qpos
+            moved.qpos[k] += way
+            mujoco.mj_kinematics(m, moved)
+            mujoco.mj_comPos(m, moved)
+            mujoco.mj_comVel(m, moved)
+            mujoco.mj_rne(m, moved, 1, torque)
+        gradient[:, column] = (side[1] - side[0])[dof] / 2e-5
+    return gradient
+
+
 def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effects:
     """Let MuJoCo apply the effects as passive forces (mjcb_passive) to the named joints of `model`.
 
-    `mujoco` is that package. ARMATURE is added to the model's. Acceleration and load are those of the step before.
+    `mujoco` is that package. ARMATURE is added to the model's. Acceleration is that of the step before and what the
+    effects change of it: a light rotor behind a heavy link follows its gear, not the link that MuJoCo ties to it.
     Friction changes sign more softly where a step of the model would overshoot. MuJoCo has one such callback for all
     models; None takes it off.
     """
@@ -261,7 +291,7 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
     dof = np.array([int(model.joint(name).dofadr[0]) for name in joints])
     rotors = np.array(ROTORS)
     now: dict[str, Any] = {"time": -1.0}
-    gears = any(effect["form"] == "arm_two_mass" for effect in EFFECTS)
+    gears = [effect["joints"][0] for effect in EFFECTS if effect["form"] == "arm_two_mass"]
     moved = mujoco.MjData(model)
 
     def links(m: Any, d: Any) -> Array:
@@ -270,20 +300,6 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
             mujoco.mj_mulM(m, d, column, np.eye(m.nv)[k])
         return columns[:, dof] - np.diag(rotors)
 
-    def slopes(m: Any, d: Any) -> Array:
-        gradient, side = np.empty((len(dof), len(dof))), np.zeros((2, m.nv))
-        moved.qvel[:], moved.qacc[:] = d.qvel, d.qacc
-        for column, k in enumerate(at):
-            for way, torque in zip((-1e-5, 1e-5), side, strict=True):
-                moved.qpos[:] = d.qpos
-                moved.qpos[k] += way
-                mujoco.mj_kinematics(m, moved)
-                mujoco.mj_comPos(m, moved)
-                mujoco.mj_comVel(m, moved)
-                mujoco.mj_rne(m, moved, 1, torque)
-            gradient[:, column] = (side[1] - side[0])[dof] / 2e-5
-        return gradient
-
     def passive(m: Any, d: Any) -> None:
         if m.nv != model.nv or m.nq != model.nq:
             return
@@ -291,10 +307,22 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
             if d.time < now["time"] or now["time"] < 0:
                 effects.reset()
             matrix = links(m, d)
-            load = matrix @ d.qacc[dof] + d.qfrc_bias[dof]
-            slope = slopes(m, d) if gears else None
-            now["torque"] = effects.torque(d.qpos[at], d.qvel[dof], d.qacc[dof], load, matrix, slope)
-            now["time"] = float(d.time)
+            before, bias = d.qacc[dof].copy(), d.qfrc_bias[dof].copy()
+            slope, whole = _slopes(mujoco, m, d, moved, at, dof) if gears else None, matrix + np.diag(rotors)
+
+            def felt(qdd: Array) -> Array:
+                return effects.torque(d.qpos[at], d.qvel[dof], qdd, matrix @ qdd + bias, matrix, slope)
+
+            def follows(qdd: Array) -> Array:
+                """The acceleration that follows if the effects see one."""
+                kept, time = _copied(effects._states), effects.time
+                torque = felt(qdd)
+                effects._states, effects.time = kept, time
+                return np.asarray(before + np.linalg.solve(whole, now["torque"] - torque))
+
+            known = gears and now["time"] >= 0
+            qdd = _settled(follows, before, matrix[gears]) if known else before
+            now["torque"], now["time"] = felt(qdd), float(d.time)
         d.qfrc_passive[dof] -= now["torque"]
 
     model.dof_armature[dof] += effects.armature
