@@ -9,7 +9,7 @@ import numpy as np
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, LINK, LOAD
 from agent.diagnosis.simulator_file.reversals import reversals_as_effects
 from agent.model import IdentifiedModel
 from agent.robot import ParameterLayout
@@ -37,7 +37,8 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
     for group in diagnosis.released.groups if diagnosis.released else ():
         if group.kind in (GAIN, DELAY):
             continue
-        into = {"friction": released.friction, "rotor inertia": released.rotors, "link inertia": released.links}
+        into = {"friction": released.friction, "rotor inertia": released.rotors}
+        into |= dict.fromkeys((LINK, LOAD), released.links)
         into[group.kind][group.joint] = reason(group.text(names))
     effects, reasons = [], {}
     for candidate, values in zip(fit.chosen, fitted, strict=True):

@@ -7,7 +7,7 @@ import pytest
 
 from agent.diagnosis.document import Cause
 from agent.diagnosis.simulator_file import servo_table
-from agent.diagnosis.simulator_file.released_numbers import beyond_usual
+from agent.diagnosis.simulator_file.released_numbers import Group, beyond_usual, likely_next_to
 from agent.diagnosis.verdict import decide_by_position
 
 NAMES = ("lift", "elbow")
@@ -93,3 +93,13 @@ def test_numbers_that_close_nothing_together_are_no_cause(closure, exceeds, verd
 def test_a_joint_errs_by_more_than_a_right_file_does_from_twice_the_expected_error(error, more):
     fit = SimpleNamespace(sigma=np.full((5, 2), 1e-3))
     assert beyond_usual(np.array([error, 1e-4]), fit).tolist() == [more, False]  # type: ignore[arg-type]
+
+
+def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it():
+    hypotheses = [SimpleNamespace(places=(("stribeck", (1,)), ("backlash", (0,))))]
+    selected = SimpleNamespace(hypotheses=hypotheses, causes=[])
+    released = SimpleNamespace(given=SimpleNamespace(servos=object()))
+    friction = Group("friction", 1, np.zeros((9, 2)), np.ones(2))
+    assert likely_next_to(released, selected, friction) == ["stribeck"]  # type: ignore[arg-type]
+    selected.causes = [SimpleNamespace(place=("stribeck", (1,)))]
+    assert likely_next_to(released, selected, friction) == []  # type: ignore[arg-type]

@@ -1,14 +1,15 @@
 """Output error: the servo numbers whose free motion follows the recorded positions (Levenberg-Marquardt).
 
 Minimised is Σ (q − q(θ))² / σ² over all frames and joints, plus a wide prior about the file's numbers: each may differ
-by what would take all of its joint's torque. Every stretch starts at its first frames' position and speed, as a start
+by what would take all of its joint's torque. Where a recorder cut the commands, how near to the positions is fitted
+too. Every stretch starts at its first frames' position and speed, as a start
 that is fitted hides where friction holds a joint. It is judged from when the servos have settled. Derivatives are those
 of the linear response. No number goes below zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -37,9 +38,9 @@ _LIGHTEST = 1e-6  # kg, below which a load has no inertia
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Which of the 5 n numbers and 4 of a load are free, and which move together.
+    """Which of the 5 n numbers, the cut of commands and 4 numbers of a load are free, and which move together.
 
-    `basis` (5 n + 4, p) of their change, `scale` (5 n + 4,) how far each may usually move.
+    `basis` (5 n + 5, p) of their change, `scale` (5 n + 5,) how far each may usually move.
     """
 
     basis: np.ndarray
@@ -49,8 +50,8 @@ class Parameters:
     def create(
         cls, scale: np.ndarray, fixed: Sequence[str] = (), one_delay: bool = True, load: bool = False
     ) -> Parameters:
-        """All numbers but kinds that are `fixed`; one delay of the arm, or one a joint; a `load`."""
-        kinds, n = len(KINDS), (len(scale) - _LOAD) // len(KINDS)
+        """All numbers but kinds that are `fixed`, and the cut; one delay of the arm, or one a joint; a `load`."""
+        kinds, n = len(KINDS), (len(scale) - 1 - _LOAD) // len(KINDS)
         eye = np.eye(len(scale))
         columns = []
         for number, kind in enumerate(KINDS):
@@ -58,8 +59,9 @@ class Parameters:
             if kind in fixed:
                 continue
             columns.append(own.sum(axis=1, keepdims=True) if kind == "delay" and one_delay else own)
+        columns.append(eye[:, kinds * n : kinds * n + 1])
         if load:
-            columns.append(eye[:, kinds * n :])
+            columns.append(eye[:, kinds * n + 1 :])
         return cls(np.hstack(columns), scale)
 
 
@@ -82,7 +84,7 @@ class OutputErrorFit:
 
     @cached_property
     def columns(self) -> list[np.ndarray]:
-        """Per stretch (S', n, 5 n): change of its positions with each number."""
+        """Per stretch (S', n, 5 n + 1), as `LinearisedMotion.number_columns`."""
         return [motion.number_columns(self.simulator, self.numbers) for motion in self.motions]
 
     @property
@@ -92,9 +94,9 @@ class OutputErrorFit:
 
 
 def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(5 n + 4,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
+    """(5 n + 5,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
 
-    Of a load it is what would take the strongest joint's torque at full reach.
+    Of a cut it is the widest lag, of a load what would take the strongest joint's torque at full reach.
     """
     lag, speed, acceleration = [], [], []
     for stretch in stretches:
@@ -110,7 +112,13 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
     servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, np.full(len(torque), USUAL_DELAY)])
     weight = max(float(np.linalg.norm(reference.robot.gravity)), 1.0)
     mass = float(torque.max()) / weight / reference.reach
-    return np.concatenate([servos.ravel(), mass * np.array([1.0, *[reference.reach] * (_LOAD - 1)])])
+    load = mass * np.array([1.0, *[reference.reach] * (_LOAD - 1)])
+    return np.concatenate([servos.ravel(), [widest_lag(stretches)], load])
+
+
+def widest_lag(stretches: Sequence[CommandedStretch]) -> float:
+    """The largest distance of a wanted command from the position [rad or m]."""
+    return max(float(np.abs(s.wanted.set_points - s.position).max()) for s in stretches)
 
 
 def position_step(stretches: Sequence[CommandedStretch]) -> np.ndarray:
@@ -138,22 +146,24 @@ def fit_output_error(
     parameters: Parameters,
     progress: Callable[[str], None] = lambda text: None,
     gained: float = _GAINED,
+    load: np.ndarray | None = None,
 ) -> OutputErrorFit:
-    """Fit the numbers.
+    """Fit the numbers, from a `start` and what the last link gains by a `load` (10,) on.
 
     Raises:
         InputError: the simulator blows up with the numbers to start from.
     """
     basis, scale = parameters.basis, parameters.scale
     size = np.sqrt(np.maximum((basis**2 * scale[:, None] ** 2).sum(axis=0) / (basis**2).sum(axis=0), 1e-300))
-    n, none = len(start.kp), np.zeros(_LOAD)
-    table, last = np.append(start.table, none), len(KINDS) * n
+    n, cut = len(start.kp), stretches[0].nearest if stretches[0].nearest < np.inf else 0.0
+    begun = np.zeros(_LOAD) if load is None else load[:_LOAD]
+    table, last = np.concatenate([start.table.ravel(), [cut], begun]), len(KINDS) * n
     first = _run(simulator, table, stretches)
     if first is None:
         raise InputError(f"{simulator.arm.path}: the simulator blows up under the recorded command as the file is")
     motions: list[FreeMotion] = first
     sigma = np.hypot(position_step(stretches) * np.sqrt(UNIFORM), LIMITS.least_error * usual_twist(motions, start.kp))
-    x = np.linalg.lstsq(basis, table - np.append(file.table, none), rcond=None)[0]
+    x = np.linalg.lstsq(basis, table - np.concatenate([file.table.ravel(), [cut], np.zeros(_LOAD)]), rcond=None)[0]
     weight, residuals = _DAMPING, _left(stretches, motions)
 
     def cost_of(residuals_at: Sequence[np.ndarray], at: np.ndarray) -> float:
@@ -161,15 +171,17 @@ def fit_output_error(
             np.sum((at / size) ** 2)
         )
 
+    def linearised() -> Iterator[LinearisedMotion]:
+        carrying = _loaded(reference, table[-_LOAD:])
+        for stretch, motion in zip(_cut(stretches, table), motions, strict=True):
+            yield stretch.linearised(simulator, ServoNumbers.of_table(table[:last].reshape(5, n)), motion, carrying)
+
     cost = cost_of(residuals, x)
     for number in range(_ROUNDS):
-        numbers, about = ServoNumbers.of_table(table[:last].reshape(5, n)), _loaded(reference, table[last:])
+        numbers = ServoNumbers.of_table(table[:last].reshape(5, n))
         matrix, side = np.diag(1 / size**2), -x / size**2
-        for stretch, motion, missing in zip(stretches, motions, residuals, strict=True):
-            line = stretch.linearised(simulator, numbers, motion, about)
-            columns = line.number_columns(simulator, numbers) @ basis[:last]
-            if basis[last:].any():
-                columns += line.load_columns(_shape(table[last:])) @ basis[last:]
+        for line, missing in zip(linearised(), residuals, strict=True):
+            columns = _columns(line, line.number_columns(simulator, numbers), table[-_LOAD:], basis)
             rows = (columns / sigma[None, :, None]).reshape(-1, len(size))
             matrix += rows.T @ rows
             side += rows.T @ (missing / sigma).ravel()
@@ -191,15 +203,28 @@ def fit_output_error(
         progress(f"output error, round {number + 1}")
         if drop < gained:
             break
-    numbers, about = ServoNumbers.of_table(table[:last].reshape(5, n)), _loaded(reference, table[last:])
-    lines = [s.linearised(simulator, numbers, m, about) for s, m in zip(stretches, motions, strict=True)]
-    load = _shape(table[last:]) @ table[last:]
-    return OutputErrorFit(
-        simulator, reference, parameters, numbers, tuple(stretches), tuple(lines), tuple(residuals), sigma, load
-    )
+    numbers, lines = ServoNumbers.of_table(table[:last].reshape(5, n)), tuple(linearised())
+    carried = load_shape(table[-_LOAD:]) @ table[-_LOAD:]
+    at = _cut(stretches, table)
+    return OutputErrorFit(simulator, reference, parameters, numbers, at, lines, tuple(residuals), sigma, carried)
 
 
-def _shape(load: np.ndarray) -> np.ndarray:
+def _columns(line: LinearisedMotion, of_numbers: np.ndarray, load: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """(S', n, p) change of the judged positions with each free number."""
+    columns = of_numbers @ basis[:-_LOAD]
+    if basis[-_LOAD:].any():
+        columns += line.load_columns(load_shape(load)) @ basis[-_LOAD:]
+    return np.asarray(columns)
+
+
+def _cut(stretches: Sequence[CommandedStretch], table: np.ndarray) -> tuple[CommandedStretch, ...]:
+    """The stretches, their commands cut as the table says where they were cut."""
+    if stretches[0].nearest == np.inf:
+        return tuple(stretches)
+    return tuple(stretch.cut(float(table[-_LOAD - 1])) for stretch in stretches)
+
+
+def load_shape(load: np.ndarray) -> np.ndarray:
     """(10, 4) parameters of a link per unit of a point's mass and first moments (4,), exact at this one."""
     if load[0] < _LIGHTEST:
         return np.eye(10)[:, :_LOAD]
@@ -208,7 +233,7 @@ def _shape(load: np.ndarray) -> np.ndarray:
 
 def _loaded(reference: NominalModel, load: np.ndarray) -> NominalModel:
     """The reference with a load at its last link."""
-    return NominalModel(with_link(reference.model, _shape(load) @ load)) if load.any() else reference
+    return NominalModel(with_link(reference.model, load_shape(load) @ load)) if load.any() else reference
 
 
 def with_link(model: Model, gained: np.ndarray) -> Model:
@@ -223,10 +248,10 @@ def with_link(model: Model, gained: np.ndarray) -> Model:
 def _possible(table: np.ndarray, last: int, reach: float) -> np.ndarray:
     """The numbers and the load next to these that can be: none below zero, no load beyond the arm's reach."""
     possible = table.copy()
-    possible[: last + 1] = np.maximum(possible[: last + 1], 0.0)
+    possible[: last + 2] = np.maximum(possible[: last + 2], 0.0)
     possible[last - last // 5 : last] = np.minimum(possible[last - last // 5 : last], _LONGEST_DELAY)
-    away, most = float(np.linalg.norm(possible[last + 1 :])), reach * possible[last]
-    possible[last + 1 :] *= min(1.0, most / away) if away > 0 else 1.0
+    away, most = float(np.linalg.norm(possible[last + 2 :])), reach * possible[last + 1]
+    possible[last + 2 :] *= min(1.0, most / away) if away > 0 else 1.0
     return possible
 
 
@@ -243,7 +268,7 @@ def _bounded_step(
     matrix: np.ndarray, side: np.ndarray, weight: float, basis: np.ndarray, table: np.ndarray
 ) -> np.ndarray:
     """The damped step; numbers and a mass that are zero and would fall stay there."""
-    bounded = np.arange(len(table)) < len(table) - _LOAD + 1
+    bounded = np.arange(len(table)) <= len(table) - _LOAD
     free = np.ones(len(matrix), dtype=bool)
     for _ in range(len(matrix)):
         at = np.flatnonzero(free)
@@ -263,10 +288,10 @@ def _bounded_step(
 def _run(simulator: FreeSimulator, table: np.ndarray, stretches: Sequence[CommandedStretch]) -> list[FreeMotion] | None:
     if not np.all(np.isfinite(table)):
         return None
-    numbers, load = ServoNumbers.of_table(table[:-_LOAD].reshape(len(KINDS), -1)), table[-_LOAD:]
-    carrying = simulator.carrying(_shape(load) @ load) if load.any() else simulator
+    numbers, load = ServoNumbers.of_table(table[: -_LOAD - 1].reshape(len(KINDS), -1)), table[-_LOAD:]
+    carrying = simulator.carrying(load_shape(load) @ load) if load.any() else simulator
     ran = []
-    for stretch in stretches:
+    for stretch in _cut(stretches, table):
         if (motion := stretch.run(carrying, numbers)) is None:
             return None
         ran.append(motion)

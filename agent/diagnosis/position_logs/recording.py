@@ -28,22 +28,33 @@ class CommandedStretch:
     """One stretch of a log without a gap: time (S,) [s] of its frames, position (S, n), the command, and its start.
 
     `start` (2n,): position and speed at its first frame. The first `unsettled` frames are simulated and not judged: how
-    play, bristles and rings stand when a log begins is not known. Commands are cut to within `nearest` [rad or m] of
-    the positions.
+    play, bristles and rings stand when a log begins is not known. The recorder cuts the `wanted` command to within
+    `nearest` [rad or m] of the positions.
     """
 
     log_index: int
     time: np.ndarray
     position: np.ndarray
-    command: RecordedCommand
+    wanted: RecordedCommand
     start: np.ndarray
     unsettled: int = 0
     nearest: float = np.inf
 
     def cut(self, nearest: float) -> CommandedStretch:
         """The stretch whose commands were cut to within `nearest` [rad or m] of the positions on their way."""
-        near = np.clip(self.command.set_points, self.position - nearest, self.position + nearest)
-        return replace(self, command=replace(self.command, set_points=near), nearest=nearest)
+        return replace(self, nearest=nearest)
+
+    @cached_property
+    def command(self) -> RecordedCommand:
+        """The command as it was sent."""
+        near = np.clip(self.wanted.set_points, self.position - self.nearest, self.position + self.nearest)
+        return replace(self.wanted, set_points=near)
+
+    @cached_property
+    def cut_change(self) -> RecordedCommand:
+        """Change of the command that was sent with `nearest`."""
+        away = self.wanted.set_points - self.position
+        return replace(self.wanted, set_points=np.where(np.abs(away) > self.nearest, np.sign(away), 0.0))
 
     @property
     def judged(self) -> slice:
@@ -104,7 +115,10 @@ class LinearisedMotion:
     response: LinearResponse
 
     def number_columns(self, simulator: FreeSimulator, numbers: ServoNumbers) -> np.ndarray:
-        """(S', n, 5 n) change of the judged positions with each number, kind by kind as in `ServoNumbers.table`."""
+        """(S', n, 5 n + 1) change of the judged positions with each number, kind by kind as in `ServoNumbers.table`.
+
+        The last is how near the recorder cuts commands to the positions.
+        """
         m, servos, n = self.motion, simulator.servos, self.motion.q.shape[1]
         free = ~m.limited
         edges = _around(m.time)
@@ -112,10 +126,13 @@ class LinearisedMotion:
         asked = np.clip(m.command, servos.least, servos.most)
         by_delay = numbers.kp * (early - late) / (2 * _LATER) * free
         parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, -(asked - m.q) * free, by_delay)
-        columns = np.empty((len(self.stretch.time[self.stretch.judged]), n, len(parts) * n))
+        columns = np.zeros((len(self.stretch.time[self.stretch.judged]), n, len(parts) * n + 1))
         for j in range(n):
             block = np.column_stack([part[:, j] for part in parts])
-            columns[:, :, j::n] = self.response.of_torque({j: block})
+            columns[:, :, j:-1:n] = self.response.of_torque({j: block})
+        if self.stretch.nearest < np.inf:
+            wider = -numbers.kp * self.stretch.cut_change.between(edges, numbers.delay) * free
+            columns[:, :, -1:] = self.response.of_torque({j: wider[:, j : j + 1] for j in range(n)})
         return columns
 
     @property

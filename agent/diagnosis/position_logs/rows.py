@@ -17,11 +17,15 @@ import numpy as np
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.fitting import (
+    LOAD_NUMBERS,
     USUAL_DELAY,
     OutputErrorFit,
+    load_shape,
     missed,
     position_step,
+    usual_scale,
     usual_twist,
+    widest_lag,
     with_link,
 )
 from agent.diagnosis.position_logs.recording import LinearisedMotion
@@ -56,7 +60,7 @@ def assemble_positions(
             fitted.base_values - model.base_values,
             np.stack([found.numbers.friction - given.friction, found.numbers.damping - given.damping], axis=1).ravel(),
             found.numbers.kp - given.kp,
-            np.zeros(n),
+            np.zeros(1 + n),
             found.numbers.delay - given.delay,
         ]
     )
@@ -74,7 +78,13 @@ def assemble_positions(
     sigma = np.broadcast_to(error, (len(time), n)).copy()
     cell, folds, single = folds_of(time, log, logs)
     usual = np.concatenate(
-        [np.abs(model.values) + _LEAST * np.abs(model.values).max(), given.kp, given.damping, np.full(n, USUAL_DELAY)]
+        [
+            np.abs(model.values) + _LEAST * np.abs(model.values).max(),
+            given.kp,
+            [widest_lag(found.stretches)],
+            given.damping,
+            np.full(n, USUAL_DELAY),
+        ]
     )
     covariance = np.diag((_EXACT * usual) ** 2)
     index = [np.arange(len(usual))] * n
@@ -90,16 +100,26 @@ def assemble_positions(
     file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
     simulator = found.simulator
     added = simulator.added_inertia(found.numbers)
+    lag = widest_lag(found.stretches)
     servos = ServoParameters(
-        covariance, given.kp, USUAL_DELAY, file, simulator.arm.impedance, added, step=simulator.step
+        covariance,
+        given.kp,
+        USUAL_DELAY,
+        file,
+        simulator.arm.impedance,
+        added,
+        load_shape(found.load[: len(LOAD_NUMBERS)]) * usual_scale(reference, found.numbers, found.stretches)[-4:],
+        cut=lag if found.stretches[0].nearest < np.inf else 0.0,
+        step=simulator.step,
     )
     return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
 
 
 def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.ndarray) -> np.ndarray:
-    """(S', n, p) change of the positions with each parameter of the model, each kp, bend of damping and delay.
+    """(S', n, p) change of the positions with each parameter of the model, each kp, the cut of commands, each bend of
+    damping and each delay.
 
-    `numbers` (S', n, 5 n) are those of joints and servos (`LinearisedMotion.number_columns`).
+    `numbers` (S', n, 5 n + 1) are those of joints and servos (`LinearisedMotion.number_columns`).
     """
     n = numbers.shape[1]
     base = reference.model.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
@@ -108,7 +128,7 @@ def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.n
     friction = np.stack([kinds[2], kinds[1]], axis=-1).reshape(*kinds[1].shape[:2], 2 * n)
     bends = [(qd * np.abs(qd))[:, None] for qd in line.signals.qd.T]
     bend = np.concatenate([line.response.of_torque({j: torque}) for j, torque in enumerate(bends)], axis=2)
-    return np.concatenate([bodies, friction, kinds[3], bend, kinds[4]], axis=2)
+    return np.concatenate([bodies, friction, kinds[3], numbers[:, :, 5 * n :], bend, kinds[4]], axis=2)
 
 
 def _as_given(fit: OutputErrorFit) -> np.ndarray:

@@ -22,7 +22,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
 from agent.diagnosis.position_logs.rows import model_columns
 from agent.diagnosis.rows.candidate import Candidate
-from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, Group, groups_of
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, LINK, LOAD, Group, groups_of
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import CATALOGUE
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, Simulator
@@ -31,8 +31,8 @@ _FLAT = 1e-6  # of the information on an effect's parameter: its prior
 #: Kinds of numbers that an effect is, by `Effect.numbers`.
 _KINDS = {
     "friction": ("friction", "rotor inertia"),
-    "links": ("link inertia",),
-    "load": ("link inertia",),
+    "links": (LINK,),
+    "load": (LOAD,),
     GAIN: (GAIN,),
     DELAY: (DELAY,),
 }
@@ -129,7 +129,7 @@ def _right(diagnosis: Diagnosis, first: _Side, second: _Side, information: np.nd
     elif first.values is not None:
         true[p : p + place[first]] = first.values
     own = {(group.kind, group.joint) for group in first.groups}
-    drives = [group for group in groups_of(diagnosis.released.given) if group.kind != "link inertia"]
+    drives = [group for group in groups_of(diagnosis.released.given) if not group.moves_links]
     for group in {(g.kind, g.joint): g for g in (*drives, *second.groups)}.values():
         if (group.kind, group.joint) not in own:
             columns.append(np.vstack([group.directions, np.zeros((size - p, group.directions.shape[1]))]))

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 from scipy.special import chdtri
 
 from agent.core import InputError
@@ -25,6 +24,7 @@ from agent.diagnosis.position_logs.fitting import (
     fit_output_error,
     missed,
     usual_scale,
+    widest_lag,
 )
 from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
 from agent.diagnosis.position_logs.rows import assemble_positions
@@ -36,8 +36,7 @@ from agent.simulators import FreeSimulator, ServoNumbers, Simulator
 
 _ROUGH = 0.05  # numerical: of the cost: a fit to start from gains less in its last round
 _SETTLES = 1.0  # s at most
-_NARROWER = 0.95  # numerical: of a cut of commands, the next one that is tried
-_CUT = 1e-3  # numerical: of a cut, how exactly it is searched
+_NARROWER, _CUTS = 0.9, 30  # numerical: of a cut of commands, the next one that is tried, and how many are
 _REVERSALS = 2  # of a joint, below which its numbers are not told
 
 
@@ -130,22 +129,25 @@ def _fitted(
 
     soft, firm = fitted(free), fitted(free.holding())
     bare = firm if _gains(soft, firm).sum() > chance else soft
-    held, nearest = _loaded(bare, reference, progress, known_kp), np.inf
+    held, nearest = _simplest(bare, reference, progress, known_kp), np.inf
     for of_file in (True, False):
         numbers = replace(file, delay=bare.numbers.delay) if of_file else bare.numbers
         if (narrower := _nearest(bare, numbers, stretches)) == np.inf:
             continue
         cut = [stretch.cut(narrower) for stretch in stretches]
         again = fit_output_error(bare.simulator, reference, cut, file, numbers, fine, progress)
-        loaded = _loaded(again, reference, progress, known_kp)
+        loaded = _simplest(again, reference, progress, known_kp)
         if _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
-            bare, held, nearest = again, loaded, narrower
+            held, nearest = loaded, loaded.stretches[0].nearest
+            break
     if len(ways) == 1:
         return held, "", 0.0
     # a held command is late by half a frame in the middle
-    begin = replace(file if held.load.any() else held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
+    begin = replace(held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
     stretches = tuple(stretch.cut(nearest) for stretch in stretches_of(logs, False, settling))
-    smooth = fit_output_error(held.simulator, reference, stretches, file, begin, held.parameters, progress)
+    smooth = fit_output_error(
+        held.simulator, reference, stretches, file, begin, held.parameters, progress, load=held.load
+    )
     gains = _gains(held, smooth)
     for_smooth, for_held = float(np.maximum(gains, 0).sum()), float(np.maximum(-gains, 0).sum())
     taken, how, other = (smooth, SMOOTH, held) if for_smooth - for_held > chance else (held, HELD, smooth)
@@ -154,23 +156,34 @@ def _fitted(
     return taken, how, 0.0 if agreed and sent else float(np.mean(other.numbers.delay - taken.numbers.delay))
 
 
-def _loaded(
+def _simplest(
     fit: OutputErrorFit, reference: NominalModel, progress: Callable[[str], None], known_kp: bool
 ) -> OutputErrorFit:
-    """The fit with a load at the last link, where that does better than chance.
+    """The fit that what follows is linear about: one with gains, or with a load at the last link and gains as they are.
 
-    Gains, friction and rotors of all joints together imitate a load, and what follows is linear about the fit.
+    Gains, friction and rotors of all joints together imitate a load, and it them. So each is tried by itself, and both
+    at once only where that does better than chance, from the likelier of the two on.
     """
     stretches, file = fit.stretches, fit.simulator.numbers
-    scale, kept = usual_scale(reference, fit.numbers, stretches), ("kp",) if known_kp else ()
-    parameters = Parameters.create(scale, fixed=kept, load=True)
-    start = replace(file, delay=fit.numbers.delay)
-    other = fit_output_error(fit.simulator, reference, stretches, file, start, parameters, progress)
-    return other if _gains(fit, other).sum() > _by_chance(len(LOAD_NUMBERS)) else fit
+    scale, n = usual_scale(reference, fit.numbers, stretches), len(file.kp)
+
+    def fitted(start: OutputErrorFit, numbers: ServoNumbers, fixed: tuple[str, ...]) -> OutputErrorFit:
+        parameters = Parameters.create(scale, fixed, load=True)
+        return fit_output_error(
+            fit.simulator, reference, stretches, file, numbers, parameters, progress, load=start.load
+        )
+
+    loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ("kp",))
+    carries = bool(_gains(fit, loaded).sum() > (_by_chance(len(LOAD_NUMBERS)) if known_kp else 0.0))
+    likelier = loaded if carries else fit
+    if known_kp:
+        return likelier
+    both = fitted(likelier, likelier.numbers, ())
+    return both if _gains(likelier, both).sum() > _by_chance(n if carries else len(LOAD_NUMBERS)) else likelier
 
 
 def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> float:
-    """How near [rad or m] to the positions commands were cut; infinite where no cut does better.
+    """About how near [rad or m] to the positions commands were cut; infinite where no cut does better.
 
     A recorder with such a limit (LeRobot's max_relative_target) stores what was wanted, not what was sent. The
     `numbers` are the file's, or fitted: without a cut, fitted ones follow one that is too wide.
@@ -182,14 +195,8 @@ def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[Com
         pairs = zip(cut, motions, strict=True)
         return sum(np.inf if m is None else float(np.sum((missed(s, m) / fit.sigma) ** 2)) for s, m in pairs)
 
-    least, widest = error(np.inf), max(float(np.abs(s.command.set_points - s.position).max()) for s in stretches)
-    nearest = widest
-    while (now := error(_NARROWER * nearest)) <= least:  # no less where servos are at their limits
-        nearest, least = _NARROWER * nearest, now
-    if nearest == widest:
-        return np.inf
-    around = (_NARROWER * nearest, nearest / _NARROWER)
-    return float(minimize_scalar(error, bounds=around, method="bounded", options={"xatol": _CUT * nearest}).x)
+    tried = [np.inf, *(widest_lag(stretches) * _NARROWER ** np.arange(1, _CUTS))]
+    return float(tried[int(np.argmin([error(nearest) for nearest in tried]))])
 
 
 def _gains(fit: OutputErrorFit, other: OutputErrorFit) -> np.ndarray:

@@ -33,12 +33,15 @@ from agent.simulators import SIMULATOR
 
 @dataclass(frozen=True, eq=False)
 class ServoParameters:
-    """Parameters of position servos, after those of the model: n of kp [N·m/rad], bend of damping and delay [s] each.
+    """Parameters of position servos, after those of the model: n of kp [N·m/rad], the cut of commands [rad or m], n of
+    bend of damping and n of delay [s].
 
     Damping d bends with speed by b: the torque is d v + b v |v|. No file of a simulator has b.
 
     `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
-    one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right.
+    one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right. `cut`
+    [rad or m]: how much nearer to the positions commands may have been cut, 0 where they were not. `load` (10, 4): what
+    the last link gains by a usual mass and usual first moments of a load there.
     `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
     [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `impedance` (n,) of friction as in `SimulatedArm`.
     """
@@ -49,6 +52,8 @@ class ServoParameters:
     file: np.ndarray
     impedance: np.ndarray
     added: np.ndarray
+    load: np.ndarray
+    cut: float = 0.0
     kp_known: bool = False
     later: float = 0.0
     step: float = 0.0

@@ -33,11 +33,13 @@ REMAINDER = "remainder"
 #: Kinds of groups of servos.
 GAIN, BEND, DELAY = "servo gain", "bend of damping", "delay of the command"
 OWN_PARAMETERS = "the model's own parameters"
+#: Kinds of groups of links: ten numbers of one, or the mass and first moments of a load at the last.
+LINK, LOAD = "link inertia", "load"
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Parameters released together: `kind` (friction, rotor inertia, link inertia, or of servos), joint from 0
+    """Parameters released together: `kind` (friction, rotor inertia, of links or of servos), joint from 0
     (-1: of all), directions (p, k).
 
     `scale` (k,) are the physical parameters' sizes, standard ones or friction's, of which the directions are images.
@@ -48,8 +50,15 @@ class Group:
     directions: np.ndarray
     scale: np.ndarray
 
+    @property
+    def moves_links(self) -> bool:
+        """Whether its parameters are inertias of links."""
+        return self.kind in (LINK, LOAD)
+
     def text(self, names: Sequence[str]) -> str:
         """Name of the step."""
+        if self.kind == LOAD:
+            return f"{self.kind} at the link of {names[self.joint]}"
         return f"{self.kind} of {names[self.joint]}" if self.joint >= 0 else self.kind
 
 
@@ -90,7 +99,7 @@ def release(
 
     The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
     """
-    pool = [group for group in groups_of(dataset) if links or group.kind != "link inertia"]
+    pool = [group for group in groups_of(dataset) if links or not group.moves_links]
     pool = pool if kinds is None else [group for group in pool if group.kind in (*kinds, DELAY)]
     if dataset.servos is not None:
         return _moved(dataset, _needed(dataset, pool, beside))
@@ -114,11 +123,12 @@ def release(
 
 
 def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]) -> list[Group]:
-    """Groups of which none can go back to the file's numbers: of all, the one that loses least goes, again and again.
+    """Groups of which none can go back to the file's numbers, and to which none can be added (stepwise selection).
 
-    Positions are linear about numbers that were all fitted, so that is where to start from. Each number has to gain: a
-    link has ten, and links together only scale all else. Last, a joint's friction and rotor go if its servo's gain
-    alone does as well: they show as ratios to it (backward elimination).
+    Each number has to gain: a link has ten, and links together only scale all else. From all groups on, many gains may
+    replace a load; from none on, a load that cancels a missing friction is not seen. So both starts are tried, and the
+    better result is taken. Last, a joint's friction and rotor go if its servo's gain alone does as well: they show
+    as ratios to it.
     """
     fit = dataset.fit.with_chosen(causes)
     least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.held)
@@ -137,14 +147,19 @@ def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]
             total += float(extended @ test @ extended)
         return total + least * sum(group.directions.shape[1] for group in groups)
 
-    chosen, best = list(pool), error(pool)
-    while True:
-        tried = [[g for g in chosen if g is not dropped] for dropped in reversed(chosen) if dropped.kind != DELAY]
-        errors = [error(groups) for groups in tried]
-        if not errors or min(errors) > best:
-            break
-        best = min(errors)
-        chosen = tried[errors.index(best)]
+    def stepwise(chosen: list[Group]) -> tuple[float, list[Group]]:
+        best = error(chosen)
+        while True:
+            fewer = [[g for g in chosen if g is not dropped] for dropped in reversed(chosen) if dropped.kind != DELAY]
+            more = [[*chosen, added] for added in pool if added not in chosen]
+            errors = [error(groups) for groups in (*fewer, *more)]
+            step = int(np.argmin(errors)) if errors else 0
+            if not errors or errors[step] > best or (errors[step] == best and step >= len(fewer)):
+                return best, chosen
+            best, chosen = errors[step], (*fewer, *more)[step]
+
+    starts = [list(pool), [group for group in pool if group.kind == DELAY]]
+    best, chosen = min(map(stepwise, starts), key=lambda entry: entry[0])
     for gain in (group for group in pool if group.kind == GAIN and group not in chosen):
         others = [g for g in chosen if g.joint != gain.joint or g.kind not in ("friction", "rotor inertia")]
         if len(others) < len(chosen) - 1 and (swapped := error([*others, gain])) < best:
@@ -200,31 +215,48 @@ def groups_of(dataset: Dataset) -> list[Group]:
         friction.append(Group("friction", joint, columns, columns[[base + k for k in own], range(len(own))]))
         for kind, place, groups in (
             ("rotor inertia", slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
-            ("link inertia", layout.link(joint), links),
+            (LINK, layout.link(joint), links),
         ):
             directions = np.zeros((size, place.stop - place.start))
             directions[:base] = model.projection[:, place] * scale[place]
             if np.any(np.abs(directions) > 1e-12):
                 groups.append(Group(kind, joint, directions, scale[place]))
-    return [*friction, *_of_servos(dataset), *rotors, *reversed(links)]
+    return [*friction, *_of_servos(dataset), *rotors, *_loads(dataset), *reversed(links)]
+
+
+def _loads(dataset: Dataset) -> list[Group]:
+    """A load at the last link, where positions are judged: next to gains, which it resembles, a link has too many
+    numbers."""
+    if (servos := dataset.servos) is None:
+        return []
+    model, last = dataset.model, dataset.robot.load_link
+    directions = np.zeros((len(servos.covariance), servos.load.shape[1]))
+    directions[: len(model.independent)] = (
+        model.projection[:, ParameterLayout.of(dataset.robot).link(last)] @ servos.load
+    )
+    return [Group(LOAD, last, directions, servos.load[range(4), range(4)])]
 
 
 def _of_servos(dataset: Dataset) -> list[Group]:
-    """The gain of each servo, which may be wrong by any factor, and the delay of their command."""
+    """The gain of each servo, which may be wrong by any factor, and what the recorder does to commands: delay, cut."""
     if (servos := dataset.servos) is None:
         return []
     n, first = len(servos.kp), len(dataset.model.values)
     gains = np.zeros((n, len(servos.covariance), 1))
     gains[np.arange(n), first + np.arange(n), 0] = servos.kp
-    late = np.zeros((len(servos.covariance), 1))
-    late[-n:] = servos.delay
+    late = np.zeros((len(servos.covariance), 2 if servos.cut else 1))
+    late[-n:, 0] = servos.delay
+    late[first + n, 1:] = servos.cut
     free = () if servos.kp_known else range(n)
-    return [*(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free), Group(DELAY, -1, late, np.ones(1))]
+    return [
+        *(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free),
+        Group(DELAY, -1, late, np.ones(late.shape[1])),
+    ]
 
 
 def drive_groups(dataset: Dataset) -> list[Group]:
     """Friction, rotor and servo of every joint, the delay, and bends: all groups without links."""
-    return [*(group for group in groups_of(dataset) if group.kind != "link inertia"), *bends_of(dataset)]
+    return [*(group for group in groups_of(dataset) if not group.moves_links), *bends_of(dataset)]
 
 
 def bends_of(dataset: Dataset) -> list[Group]:
@@ -319,26 +351,50 @@ def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
     return np.bincount(block, np.nansum(rows**2, axis=1))
 
 
-def _load(released: ReleasedSimulator) -> dict[str, float]:
-    """What the last link gained, as parameters of a load, where its mass gained more than its prior deviation."""
-    last = released.given.robot.load_link
-    own = [group for group in released.groups if group.kind == "link inertia" and group.joint == last]
-    if not own:
+def _load(released: ReleasedSimulator, group: Group) -> dict[str, float]:
+    """What the last link gained, as parameters of a load; empty of a link whose mass gained less than its prior
+    deviation, and of others."""
+    given = released.given
+    if not group.moves_links or group.joint != given.robot.load_link:
         return {}
     directions = np.hstack([group.directions for group in released.groups])
-    start = next(k for k, column in enumerate(directions.T) if np.array_equal(column, own[0].directions[:, 0]))
-    prior_std = released.given.fit.reference.prior_std[ParameterLayout.of(released.given.robot).link(last)]
-    gained = np.linalg.lstsq(directions, released.moved.fit.change, rcond=1e-9)[0][start : start + 10] * prior_std
+    start = next(k for k, column in enumerate(directions.T) if np.array_equal(column, group.directions[:, 0]))
+    coefficients = np.linalg.lstsq(directions, released.moved.fit.change, rcond=1e-9)[0][start:]
     names = ("mass", *(f"moment_{k}" for k in "xyz"), *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
+    if group.kind == LOAD and given.servos is not None:
+        return dict(zip(names, map(float, given.servos.load @ coefficients[:4]), strict=True))
+    prior_std = given.fit.reference.prior_std[ParameterLayout.of(given.robot).link(group.joint)]
+    gained = coefficients[:10] * prior_std
     return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}
 
 
 def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candidate], gap: HeldOutGap) -> float | None:
-    """What a group closes of its own joint's error that all others leave; None where torque is judged."""
-    if released.given.servos is None or group.joint < 0:
+    """What a group closes of its own joints' error that all others leave; None where torque is judged."""
+    if released.given.servos is None:
         return None
+    joints = range(len(released.given.fit.rows)) if group.joint < 0 else (group.joint,)
     others = released_fit(released.given, [g for g in released.groups if g is not group]).with_chosen(causes)
-    return gap.closure_on((group.joint,), others.out_of_fold(others.transient))
+    return gap.closure_on(joints, others.out_of_fold(others.transient))
+
+
+def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap) -> bool:
+    """Whether gains of several servos at once may be a load that all of them carry, as it leaves as little instead."""
+    if sum(group.kind == GAIN for group in released.groups) < 2 or released.given.servos is None:
+        return False
+    pool = [group for group in groups_of(released.given) if group.kind not in (GAIN, LINK)]
+    fit = released_fit(released.given, _needed(released.given, pool, causes)).with_chosen(causes)
+    error = rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit
+    return bool(np.mean(error**2) <= LIMITS.alike * np.mean(gap.after**2))
+
+
+def likely_next_to(released: ReleasedSimulator, selected: SelectedCauses, group: Group) -> list[str]:
+    """Effects on a group's joint that the likeliest hypothesis has next to it, too small to be needed: the numbers may
+    have moved for these. None where torque is judged."""
+    if released.given.servos is None:
+        return []
+    named = {cause.place for cause in selected.causes}
+    likeliest = selected.hypotheses[0].places
+    return [name for name, joints in likeliest if joints == (group.joint,) and (name, joints) not in named]
 
 
 def _without(released: ReleasedSimulator, groups: Sequence[Group], causes: Sequence[Candidate]) -> np.ndarray:
@@ -354,14 +410,16 @@ def _causing(
     """The released groups that may be a cause: all where torque is judged.
 
     Not those of joints that err no more than a right file does without all of their own numbers, nor of `doubted` ones,
-    which have a remainder, nor links where the joint on which they close most is one of these.
+    which have a remainder, nor a delay without which no joint errs more, nor links where the joint on which they close
+    most is doubted.
     """
     if released.given.servos is None:
         return list(released.groups)
-    fit, links = released.given.fit, [group for group in released.groups if group.kind == "link inertia"]
-    kept = [group for group in released.groups if group.kind == DELAY]
+    fit, links = released.given.fit, [group for group in released.groups if group.moves_links]
+    late = [group for group in released.groups if group.kind == DELAY]
+    kept = late if beyond_usual(rms(gap.beyond(_without(released, late, causes))), fit).any() else []
     for joint in sorted(set(range(len(fit.rows))) - set(doubted)):
-        own = [group for group in released.groups if group.joint == joint and group.kind != "link inertia"]
+        own = [group for group in released.groups if group.joint == joint and not group.moves_links]
         without = rms(gap.beyond(_without(released, own, causes))) if own else gap.after
         kept += own if beyond_usual(without, fit)[joint] else []
     if links and doubted:
@@ -392,12 +450,9 @@ def causes_of_numbers(
     model, names = found.given.model, found.given.robot.joint_names
     base, change = len(model.independent), found.moved.fit.change
     probability = LAW.certain * min(gap.closure or 0.0, 1.0)
-    load = _load(found)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
     causes = list[Cause]()
-    # gains of several servos at once are as well a load that all of them carry
-    several = sum(group.kind == GAIN for group in found.groups) > 1
-    like_load = (EffectPlace(called["load"], ()),) if several else ()
+    like_load = (EffectPlace(called["load"], ()),) if _may_be_load(found, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
         part = gap.closure_without(_without(found, groups, selected.causes))
@@ -407,13 +462,14 @@ def causes_of_numbers(
     bodies: list[Group] = []
     for group in _causing(found, selected.causes, gap, doubted):
         joint = () if group.joint < 0 else (names[group.joint],)
-        if load and group.kind == "link inertia" and group.joint == found.given.robot.load_link:
+        if load := _load(found, group):
             like_links = (EffectPlace(called["links"], ()),)
             causes.append(Cause(called["load"], (), closes(group), probability, load, like_links))
         elif group.kind == "friction":
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
             equal = (EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()
+            equal = (*equal, *(EffectPlace(name, joint) for name in likely_next_to(found, selected, group)))
             own_part = _on_joint(found, group, selected.causes, gap)
             causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == GAIN and found.given.servos is not None:
@@ -423,14 +479,17 @@ def causes_of_numbers(
             own_part = _on_joint(found, group, selected.causes, gap)
             causes.append(Cause(called[GAIN], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == DELAY:
-            causes.append(Cause(called[DELAY], (), closes(group), probability, {"delay": float(change[-1])}))
+            own_part = _on_joint(found, group, selected.causes, gap)
+            causes.append(
+                Cause(called[DELAY], (), closes(group), probability, {"delay": float(change[-1])}, (), own_part)
+            )
         else:
             bodies.append(group)
     if bodies:
         known = np.abs(change[:base]) > LIMITS.deviations * model.standard_deviations[:base]
         torque = change[:base] ** 2 * np.diagonal(found.given.fit.gram.sum(axis=0))[:base]  # what makes most is first
         parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
-        last = any(group.kind == "link inertia" and group.joint == found.given.robot.load_link for group in bodies)
+        last = any(group.kind == LINK and group.joint == found.given.robot.load_link for group in bodies)
         as_load = (EffectPlace(called["load"], ()),) if last and found.given.servos is not None else ()
         causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))

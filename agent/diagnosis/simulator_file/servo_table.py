@@ -72,14 +72,15 @@ def servo_table(found: Explanation) -> dict[str, Any]:
 
 
 def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
-    """(5, n) value, low and high of a `form` of the numbers (5, n), linear about those with all drives free.
+    """(5, n) value, low and high of a `form` of the numbers (5, n), linear about those with all drives free, and links
+    that moved.
 
     The delay's holds both ways in which the command may have been held.
     """
     dataset, fit = explanation.dataset, explanation.selected.fit
     assert dataset.servos is not None
     values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0])
-    drives = drive_groups(dataset)
+    drives = [*drive_groups(dataset), *(group for group in explanation.released.groups if group.moves_links)]
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     free = servo_numbers(dataset, drives, wide.fitted()[0])
     p, normal = len(dataset.held), float(ndtri((1 + LAW.certain) / 2))
