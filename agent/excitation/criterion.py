@@ -75,7 +75,7 @@ class Criterion:
     def observation_matrix(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(M n, p) H of M points, positions, velocities and accelerations each (M, n)."""
         matrix = np.zeros((len(q), self._robot.dof, len(self.columns)))
-        blocks = self._blocks(q, qd, qdd, self._dynamics.regressor_by_joint(q, qd, qdd))
+        blocks = self._blocks(qd, qdd, self._dynamics.regressor_by_joint(q, qd, qdd))
         for joint, (weight, used, block) in enumerate(zip(self.weights, self._used, blocks, strict=True)):
             matrix[:, joint, used] = weight * block.T
         return matrix.reshape(-1, len(self.columns))
@@ -87,9 +87,9 @@ class Criterion:
         """
         rigid = self._dynamics.regressor_by_joint(q, qd, qdd) if regressor is None else regressor
         with one_blas_thread():
-            return log_determinant(self._triangles(self._blocks(q, qd, qdd, rigid)), len(q))
+            return log_determinant(self._triangles(self._blocks(qd, qdd, rigid)), len(q))
 
-    def _blocks(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, rigid: np.ndarray) -> list[np.ndarray]:
+    def _blocks(self, qd: np.ndarray, qdd: np.ndarray, rigid: np.ndarray) -> list[np.ndarray]:
         """Of each joint its used columns of H (used, M), without weights."""
         speed = axle_motion(self._robot, qd)
         sign = np.sign(speed)

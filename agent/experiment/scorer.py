@@ -142,7 +142,7 @@ class ExperimentScorer:
         if rival.form is not None and not reached.lacking(rival.form.effect, rival.form.joints):
             free.append(self._place[rival.form])
         at, place = np.concatenate(free), self._place[true.form]
-        values = true.values if len(true.values) else self._practical(whole, true.form)
+        values = true.values if len(true.values) else self._practical(true.form)
         side = whole[np.ix_(at, place)] @ values
         matrix = whole[np.ix_(at, at)] + self._prior[np.ix_(at, at)]
         unit = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -152,7 +152,7 @@ class ExperimentScorer:
         lost = 0.0 if rival.form is None else self._evidence.law.form**2 * own
         return 0.5 * max(own - follows - lost, 0.0)
 
-    def _practical(self, whole: np.ndarray, form: Candidate) -> np.ndarray:
+    def _practical(self, form: Candidate) -> np.ndarray:
         """(k,) parameters at which an effect has its practical size, each of them as large."""
         return form.effect.practical * self._evidence.pool.unit_torque(form)
 

@@ -84,11 +84,11 @@ class JointTrajectoryLaw:
         """
         if all(isinstance(move.settings, PointSettings) for move in moves):
             spline = _of_points(moves, start)
-            self._check(spline, first, 1.0)
+            self._check(spline, first)
             return spline, lambda t: np.searchsorted(spline.t[1:-1], t, side="left"), tuple
         if len(moves) == 1 and moves[0].type is MoveType.JOINT and isinstance(moves[0].target, JointTarget):
             spline = rest_to_rest(start, moves[0].target.position, *self.pace(moves[0]))
-            self._check(spline, first, 1.0)
+            self._check(spline, first)
             return spline, lambda t: np.zeros(len(t), dtype=int), tuple
         plan = self._fly.plan([_with_path(move) for move in moves], start)
         count = max(1, int(np.ceil(plan.duration * POINTS - 1e-9)))
@@ -97,7 +97,7 @@ class JointTrajectoryLaw:
         spline.qd[[0, -1]] = spline.qdd[[0, -1]] = 0.0
         factor = self._slower(spline)
         spline = spline.stretched(factor)
-        self._check(spline, first, factor)
+        self._check(spline, first)
         index = lambda t: plan.move[np.minimum(np.rint(t / (factor * _PERIOD)).astype(int), len(plan.move) - 1)]  # noqa: E731
         return spline, index, lambda: plan.binding
 
@@ -115,7 +115,7 @@ class JointTrajectoryLaw:
         acceleration = np.max(np.abs(qdd) / self.robot.max_acceleration, initial=0.0)
         return float(max(1.0, speed, np.sqrt(acceleration))) * (1.0 + _ROUNDING)
 
-    def _check(self, spline: JointSpline, first: int, factor: float) -> None:
+    def _check(self, spline: JointSpline, first: int) -> None:
         """Raises:
         MotionError: a limit of a joint is broken between the points, or the motion is too long.
         """
