@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -36,12 +36,25 @@ class Trajectory:
     tcp: np.ndarray
     path_speed: np.ndarray
     move: np.ndarray
-    binding: tuple[BindingLimit, ...] = field(default=())
+    binding: tuple[BindingLimit, ...] = field(default_factory=tuple)
 
     @property
     def duration(self) -> float:
         """Seconds from the first sample to the last."""
         return float(self.t[-1] - self.t[0])
+
+
+class LazyTrajectory(Trajectory):
+    """One of which the fields in `late` are computed on first use: a search never asks for them."""
+
+    def __init__(self, late: Mapping[str, Callable[[], Any]], **values: np.ndarray):
+        self.__dict__.update(values, _late=late)  # a frozen dataclass is set like this
+
+    def __getattr__(self, name: str) -> Any:
+        late = self.__dict__.get("_late", {})
+        if name not in late:
+            raise AttributeError(name)
+        return self.__dict__.setdefault(name, late[name]())
 
 
 class MotionError(InputError):

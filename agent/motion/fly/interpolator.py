@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,7 @@ from agent.motion.fly.profile import ArmLimits
 from agent.motion.fly.run_planner import RunPlanner
 from agent.motion.fly.segment_maker import SegmentMaker
 from agent.motion.fly.setpoints import Run
-from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
+from agent.motion.interpolator import LazyTrajectory, MotionError, Trajectory
 from agent.motion.program import Delay, Statement
 from agent.robot import RobotDescription
 
@@ -105,16 +104,11 @@ class _Unfinished:
             for column in columns
         )
         t = np.arange(len(q)) * self._planner.period
-        return _LazyTrajectory(
-            pose,
-            partial(self._planner.binding_limits, self._runs),
-            t=t,
-            q=q,
-            qd=qd,
-            qdd=qdd,
-            path_speed=speed,
-            move=move,
-        )
+        late = {
+            "tcp": lambda: rotation.to_pose(pose[:, :3], pose[:, 3:]),
+            "binding": lambda: self._planner.binding_limits(self._runs),
+        }
+        return LazyTrajectory(late, t=t, q=q, qd=qd, qdd=qdd, path_speed=speed, move=move)
 
     def _add_rest(self, index: int, count: int) -> None:
         q, pose = np.tile(self.q, (count, 1)), np.tile(self._maker.pose_at(self.q), (count, 1))
@@ -139,20 +133,3 @@ class _Unfinished:
         if seconds > LONGEST:
             message = f"statement {index + 1}: the program takes more than {LONGEST:g} s up to here; run it in parts"
             raise MotionError(message, index, "duration", seconds / LONGEST - 1.0)
-
-
-class _LazyTrajectory(Trajectory):
-    """Poses, of rows (S, 7), and binding limits are computed on first use: a search never uses them."""
-
-    def __init__(self, pose: np.ndarray, binding: Callable[[], tuple[BindingLimit, ...]], **values: np.ndarray):
-        self.__dict__.update(values, _pose=pose, _binding=binding)  # a frozen dataclass is set like this
-
-    @cached_property
-    def tcp(self) -> np.ndarray:
-        pose: np.ndarray = self.__dict__["_pose"]
-        return rotation.to_pose(pose[:, :3], pose[:, 3:])
-
-    @cached_property
-    def binding(self) -> tuple[BindingLimit, ...]:
-        limits: tuple[BindingLimit, ...] = self.__dict__["_binding"]()
-        return limits

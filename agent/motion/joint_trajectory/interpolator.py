@@ -8,12 +8,11 @@ of every joint: the controller checks none.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 
 import numpy as np
 
 from agent.motion.fly.interpolator import FlyInterpolator
-from agent.motion.interpolator import BindingLimit, MotionError, Trajectory
+from agent.motion.interpolator import BindingLimit, LazyTrajectory, MotionError, Trajectory
 from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings, parted
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
 from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement
@@ -69,9 +68,17 @@ class JointTrajectoryLaw:
                     q = spline.q[-1]
                 pending = []
             began = self.period * (sum(part.shape[1] for part in rows) - 1)
-        return _SplineTrajectory(
-            self._dynamics, binding, np.concatenate(rows, axis=1), np.concatenate(moves), self.period
-        )
+        q, qd, qdd = np.concatenate(rows, axis=1)
+        late = {
+            "tcp": lambda: self._dynamics.tcp_pose(q),
+            "path_speed": lambda: np.linalg.norm(self._dynamics.tcp_jacobian(q)[:, :3] @ qd[..., None], axis=(1, 2)),
+            "binding": lambda: tuple(
+                BindingLimit(stretch.limit, began + stretch.start, began + stretch.end)
+                for began, limits in binding
+                for stretch in limits()
+            ),
+        }
+        return LazyTrajectory(late, t=np.arange(len(q)) * self.period, q=q, qd=qd, qdd=qdd, move=np.concatenate(moves))
 
     def spline(
         self, moves: Sequence[Move], start: np.ndarray, first: int = 0
@@ -140,40 +147,6 @@ class JointTrajectoryLaw:
                 "as the arm goes on to the end when nobody is there any more: move faster, or a shorter way"
             )
             raise MotionError(text, first, "duration", spline.duration / LONGEST - 1.0)
-
-
-class _SplineTrajectory(Trajectory):
-    """Set-points (3, S, n); what is seldom asked for is computed on first use."""
-
-    def __init__(
-        self,
-        dynamics: Dynamics,
-        binding: Sequence[tuple[float, Callable[[], Sequence[BindingLimit]]]],
-        rows: np.ndarray,
-        move: np.ndarray,
-        period: float,
-    ):
-        q, qd, qdd = rows
-        self.__dict__.update(  # a frozen dataclass is set like this
-            t=np.arange(len(q)) * period, q=q, qd=qd, qdd=qdd, move=move, _dynamics=dynamics, _binding=binding
-        )
-
-    @cached_property
-    def tcp(self) -> np.ndarray:
-        poses: np.ndarray = self.__dict__["_dynamics"].tcp_pose(self.q)
-        return poses
-
-    @cached_property
-    def path_speed(self) -> np.ndarray:
-        dynamics: Dynamics = self.__dict__["_dynamics"]
-        return np.linalg.norm(np.einsum("sij,sj->si", dynamics.tcp_jacobian(self.q)[:, :3], self.qd), axis=1)
-
-    @cached_property
-    def binding(self) -> tuple[BindingLimit, ...]:
-        stretches = [(began, stretch) for began, limits in self.__dict__["_binding"] for stretch in limits()]
-        return tuple(
-            BindingLimit(stretch.limit, began + stretch.start, began + stretch.end) for began, stretch in stretches
-        )
 
 
 def _of_points(moves: Sequence[Move], start: np.ndarray) -> JointSpline:
