@@ -30,7 +30,7 @@ from agent.recording import (
     read_recording,
     recorded_joints,
 )
-from agent.robot import RobotDescription, load_robot
+from agent.robot import RobotDescription, is_gripper, load_robot
 from agent.runs import check_output
 from agent.simulators import SIMULATOR, export_model, is_simulator, load_arm as load, load_arm_of
 from agent.validation import (
@@ -353,6 +353,16 @@ def what_a_model_lacks(robot: str, logs: Sequence[str]) -> str:
     return shlex.join(["agent", "diagnose", "--robot", robot, *logs])
 
 
+def _not_recorded(robot: str, description: RobotDescription) -> list[str]:
+    """Joints of the arm in a simulator's file, grippers apart, that a description made for a log of it lacks."""
+    if not is_simulator(Path(robot)):
+        return []
+    own = load(Path(robot)).joint_names
+    if not set(description.joint_names) < set(own):
+        return []
+    return [name for name in own if name not in description.joint_names and not is_gripper(name)]
+
+
 def fit_files(
     robot: str | RobotDescription, paths: list[Path], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
@@ -366,6 +376,11 @@ def fit_files(
     """
     check_structure(question.structure)
     description = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
+    if isinstance(robot, str) and (missing := _not_recorded(robot, description)):
+        console.warn(
+            f"{paths[0]}: {', '.join(missing)} of {Path(robot).name} not recorded, so taken as fixed at zero: if it "
+            "moves or stands elsewhere, record its position too"
+        )
     logs = read_logs(paths, description, console, question.topic, question.effort, question.force)
     check_torque(logs)
     return fit_logs(description, logs, question, console)

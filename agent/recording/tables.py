@@ -225,7 +225,9 @@ def _read_parquet(path: Path) -> ColumnTable:
         """Whether numbers or times may be in it; texts are never read."""
         while types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
             kind = kind.value_type
-        return any(numbers(part.type) for part in kind) if types.is_struct(kind) else types.is_primitive(kind)
+        if types.is_struct(kind):
+            return any(numbers(part.type) for part in kind)
+        return types.is_primitive(kind) or types.is_decimal(kind)
 
     with parquet.ParquetFile(path) as file:
         names = [column.name for column in file.schema_arrow if numbers(column.type)]
@@ -244,9 +246,11 @@ def _read_parquet(path: Path) -> ColumnTable:
 
 
 def _in_seconds(column: Any) -> Any:
-    """A column of Parquet; dates, times of day and durations as seconds."""
+    """A column of Parquet; dates, times of day and durations as seconds, decimals as floats."""
     from pyarrow import compute, int32, int64, types
 
+    if types.is_decimal(column.type):
+        return column.cast("double")
     if not types.is_temporal(column.type) or types.is_interval(column.type):
         return column
     if types.is_date(column.type):

@@ -5,6 +5,7 @@ import struct
 import time
 import tracemalloc
 import zipfile
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -148,7 +149,7 @@ def test_texts_of_a_parquet_file_are_not_read(tmp_path):
     assert list(table.columns) == ["t"]
 
 
-@pytest.mark.parametrize("kind", ["list", "fixed", "time", "bool"])
+@pytest.mark.parametrize("kind", ["list", "fixed", "time", "bool", "decimal"])
 def test_reads_columns_of_every_number_type(tmp_path, kind: str):
     import pyarrow
     from pyarrow import parquet
@@ -158,6 +159,7 @@ def test_reads_columns_of_every_number_type(tmp_path, kind: str):
         "fixed": pyarrow.FixedSizeListArray.from_arrays(pyarrow.array([1.0, 2.0, 3.0, 4.0]), 2),
         "time": pyarrow.array(np.array([1, 2], "datetime64[ms]")),
         "bool": pyarrow.array([True, False]),
+        "decimal": pyarrow.array([Decimal("0.25"), Decimal("1.5")]),
     }[kind]
     parquet.write_table(pyarrow.table({"t": [0.0, 0.1], "q": values}), tmp_path / "log.parquet")
     assert len(read_table(tmp_path / "log.parquet").columns) == (3 if kind in ("list", "fixed") else 2)

@@ -83,6 +83,19 @@ def test_joints_with_a_prefix_are_read():
     _check_arm(robot, log)
 
 
+def test_a_joint_that_a_log_lacks_is_said(tmp_path):
+    """The arm is then another one: 2.00 instead of 1.90 kg·m and 3.6 instead of 4 N·m came out without a word."""
+    urdf, mapping = FILES / "25-zero-is-a-level" / "arm.urdf", tmp_path / "map.yaml"
+    mapping.write_text(
+        "time: {column: t, unit: s}\nposition: {columns: [q_pan, q_lift]}\neffort: {columns: [tau_pan, tau_lift]}\n"
+    )
+    import_log(partial(load_arm_of, urdf), mapping, [urdf.with_name("log.csv")], tmp_path / "log.mcap")
+    command = ["estimate", "--robot", str(urdf), "-o", str(tmp_path / "m.json"), str(tmp_path / "log.mcap")]
+    run = CliRunner().invoke(app, [*command, "--method", "plain"])
+    assert run.exit_code == 0
+    assert "elbow of arm.urdf not recorded, so taken as fixed at zero" in run.stderr
+
+
 def test_two_arms_in_one_log_name_the_way_on():
     place = FILES / "26-map-hint-that-estimate-lacks"
     with pytest.raises(InputError, match=r"several of its arms \(left_pan.*; right_pan.*write a robot.yaml"):
