@@ -351,7 +351,7 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
         if result["verdict"] == "no_gap":
             yield _found_if_there(result)
         elif _not_judged(result):
-            yield "The gap may be all due to the model: its motions leave the torque of these logs open."
+            yield "The gap may be all due to the model: the motions of its fit leave the torque of these logs open."
         else:
             yield "The gap is certain; its cause is not known."
         return
