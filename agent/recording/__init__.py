@@ -1,7 +1,14 @@
 """Logs of motions: written while the motion runs, read from whoever wrote them, imported from tables."""
 
 from agent.recording.column_names import named_joints, prefixed
-from agent.recording.datasets import DATASET_PRESETS, is_dataset, joint_pairs, write_targets
+from agent.recording.datasets import (
+    DATASET_PRESETS,
+    counted_apart,
+    is_dataset,
+    joint_pairs,
+    number_of,
+    write_targets,
+)
 from agent.recording.datasets.episodes import HELD, HOLD, SMOOTH
 from agent.recording.importer import import_log
 from agent.recording.inputs import import_dataset, read_recording, recorded_joints

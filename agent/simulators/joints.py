@@ -11,7 +11,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from agent.core import InputError, counted, load_document
-from agent.recording import joint_pairs
+from agent.recording import counted_apart, joint_pairs, number_of
 from agent.robot import is_gripper
 
 #: Similarity from which two names may mean one joint.
@@ -96,6 +96,8 @@ def _map_of(pairs: Mapping[str, str | None]) -> str:
 
 def _proposed(in_file: Sequence[str], wanted: Sequence[str]) -> list[tuple[str, str]]:
     """Likely pairs in the file's order. Similar names first, because logs are often in alphabetical order."""
+    if counted_apart(in_file, wanted):
+        return list(zip(in_file, sorted(wanted, key=number_of), strict=False))
     plain = {name: name.lower().replace("_", "") for name in (*in_file, *wanted)}
     plain = {name: own.replace("joint", "") or own for name, own in plain.items()}  # which does not identify one
     likeness = {(a, b): SequenceMatcher(None, plain[a], plain[b]).ratio() for a in in_file for b in wanted}

@@ -36,6 +36,16 @@ class Episode:
     velocity: np.ndarray | None = None
     effort: np.ndarray | None = None
 
+    @property
+    def finite(self) -> np.ndarray:
+        """(K,) whether a frame has its time, and a number for every joint."""
+        arrays = [values for name in _ARRAYS if (values := getattr(self, name)) is not None]
+        return np.all([np.isfinite(self.time), *(np.all(np.isfinite(values), axis=1) for values in arrays)], axis=0)
+
+    def of_rows(self, rows: np.ndarray) -> Episode:
+        """These frames alone, in this order."""
+        return replace(self.changed(lambda values: values[rows]), time=self.time[rows])
+
     def changed(self, change: Callable[[np.ndarray], np.ndarray], only: tuple[str, ...] = _ARRAYS) -> Episode:
         """A copy in which the arrays (K, n) that there are have been changed alike."""
         arrays: dict[str, Any] = {name: change(values) for name in only if (values := getattr(self, name)) is not None}

@@ -117,7 +117,7 @@ def dataset_logs(
     Raises:
         InputError: as `open_dataset`, or joints of the robot are missing.
     """
-    recorded = checked(open_dataset(path, arm, robot.joint_names, preset))
+    recorded = open_dataset(path, arm, robot.joint_names, preset)
     if recorded.joints:
         columns = columns_of(recorded.joints, robot.joint_names)
         if columns is None:
@@ -133,7 +133,34 @@ def dataset_logs(
         )
     else:
         recorded = replace(recorded, notes=(*recorded.notes, _by_place(robot)))
+    recorded = checked(_in_ranges(recorded, robot))
     return [_log(recorded, episode, robot) for episode in recorded.episodes], recorded.notes
+
+
+def _in_ranges(recorded: Recorded, robot: RobotDescription) -> Recorded:
+    """The recording, whose columns are the joints of a robot, with a note on those that leave their ranges.
+
+    Raises:
+        InputError: a joint goes further than its range is wide, or about a place outside of it.
+    """
+    position = np.concatenate([episode.position for episode in recorded.episodes])
+    least, most = np.nanmin(position, axis=0), np.nanmax(position, axis=0)
+    outside, foreign = [], []
+    for joint, low, high in zip(robot.joints, least, most, strict=True):
+        text = f"{joint.name} goes from {low:.3g} to {high:.3g}, its range from {joint.lower:.3g} to {joint.upper:.3g}"
+        if low < joint.lower or high > joint.upper:
+            outside.append(text)
+        if high - low > joint.upper - joint.lower or not joint.lower <= 0.5 * (low + high) <= joint.upper:
+            foreign.append(text)
+    advice = "so unit, zero or sign of the recording are not those of the model"
+    if foreign:
+        raise InputError(
+            f"{recorded.path}: {'; '.join(foreign)} (rad or m), {advice}. Import it with a map that has unit, scale "
+            "and offset (agent import --map), or correct the range"
+        )
+    if outside:
+        return replace(recorded, notes=(*recorded.notes, f"beyond their ranges: {'; '.join(outside)} (rad or m)"))
+    return recorded
 
 
 def _by_place(robot: RobotDescription) -> str:
@@ -143,24 +170,19 @@ def _by_place(robot: RobotDescription) -> str:
 def _log(recorded: Recorded, episode: Episode, robot: RobotDescription) -> Log:
     """An episode as a log."""
     path = recorded.path / episode.name if recorded.path.is_dir() or len(recorded.episodes) > 1 else recorded.path
-    arrays = (episode.position, episode.command, episode.velocity, episode.effort)
-    whole = np.isfinite(episode.time)
-    for values in arrays:
-        whole &= True if values is None else np.all(np.isfinite(values), axis=1)
-    if np.count_nonzero(whole) < 2:
-        raise InputError(f"{path}: fewer than two frames hold a number for every joint")
+    whole = episode.finite
     repairs = Repair.of("frames without a number for every joint, dropped", _from_first(episode.time), ~whole)
     order = put_in_order(nanoseconds(episode.time[whole]), [episode.position[whole]], str(path))
-    command, velocity, effort = (None if values is None else values[whole][order.rows] for values in arrays[1:])
+    frames = episode.of_rows(np.flatnonzero(whole)[order.rows])
     spacing = spacing_of(order.stamp, recorded.rate)
     return Log(
         path=path,
         joint_names=robot.joint_names,
         t=(order.stamp - order.stamp[0]) / NANO,
-        position=episode.position[whole][order.rows],
-        velocity=velocity,
-        effort=effort,
-        reference_position=command,
+        position=frames.position,
+        velocity=frames.velocity,
+        effort=frames.effort,
+        reference_position=frames.command,
         planned_position=None,
         sample_rate=spacing.rate,
         stamp=int(order.stamp[0]) / NANO,

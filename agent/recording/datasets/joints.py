@@ -8,8 +8,8 @@ from typing import Any
 
 #: What a column holds, by the end of its name; positions have none as often as `.pos`.
 _QUANTITIES = {
-    **dict.fromkeys(("pos", "position", "qpos"), "position"),
-    **dict.fromkeys(("vel", "velocity", "qvel"), "velocity"),
+    **dict.fromkeys(("pos", "position", "qpos", "q"), "position"),
+    **dict.fromkeys(("vel", "velocity", "qvel", "dq"), "velocity"),
     **dict.fromkeys(("torque", "tau", "effort"), "effort"),
 }
 _ENDS = re.compile(rf"^(.*)[./]({'|'.join(_QUANTITIES)})$")
@@ -24,6 +24,8 @@ _ALSO = {
     "wrist_pitch": "wrist_flex",
     "jaw": "gripper",
 }
+#: Number of a joint, at the end of its name.
+_NUMBER = re.compile(r"(\d+)(?:_joint)?$")
 #: Names of a column of which no servo takes a set-point: where a hand is, or how it turns.
 _POSE = re.compile(
     r"^(?:(?:ee|eef|end_effector|tcp|delta|d|pos|rot|target)[_.]?)*(?:x|y|z|r|rx|ry|rz|roll|pitch|yaw|qx|qy|qz|qw)$",
@@ -32,10 +34,16 @@ _POSE = re.compile(
 
 
 def flat_names(names: Any) -> list[str]:
-    """Names of columns from `info.json`: a list, a list in a list, or a mapping of lists; empty where it has none."""
-    if isinstance(names, Mapping):  # lists by what they name, or names with their numbers
-        lists = [value for value in names.values() if isinstance(value, (list, Mapping))]
-        names = lists or [name for name, value in names.items() if value is not None]
+    """Names of columns from `info.json`: a list, a list in a list, a mapping of lists by what they name, or a mapping
+    of names to their numbers; empty where it has none."""
+    if isinstance(names, Mapping):
+        lists = {key: flat_names(value) for key, value in names.items() if isinstance(value, (list, Mapping))}
+        if lists:
+            sides = all(_SIDE.match(f"{key}_") for key in lists)
+            return [f"{key}_{name}" if sides else name for key, several in lists.items() for name in several]
+        numbers = {name: value for name, value in names.items() if value is not None}
+        numbered = all(isinstance(value, (int, float)) for value in numbers.values())
+        names = sorted(numbers, key=numbers.__getitem__) if numbered else [*numbers]
     if isinstance(names, list):
         return [
             name
@@ -84,7 +92,10 @@ def _key(name: str) -> str:
 
 
 def joint_pairs(names: Sequence[str], others: Sequence[str]) -> dict[str, str]:
-    """Name → other name of the same joint: the same text, else the only one on both sides that means it."""
+    """Name → other name of the same joint: the same text, else the only one on both sides that means it; none where
+    one side counts its joints from 0 and the other from 1."""
+    if counted_apart(names, others):
+        return {}
     pairs = {name: name for name in names if name in others}
     unpaired = [name for name in names if name not in pairs]
     candidates = [other for other in others if other not in pairs]
@@ -93,6 +104,18 @@ def joint_pairs(names: Sequence[str], others: Sequence[str]) -> dict[str, str]:
         if len(alike) == 1 and sum(same_joint(each, alike[0]) for each in unpaired) == 1:
             pairs[name] = alike[0]
     return pairs
+
+
+def counted_apart(names: Sequence[str], others: Sequence[str]) -> bool:
+    """Whether joints are numbered from 0 on one side and from 1 on the other, so that equal numbers are no pairs."""
+    first = (min((n for n in map(number_of, side) if n >= 0), default=-1) for side in (names, others))
+    return {*first} == {0, 1}
+
+
+def number_of(name: str) -> int:
+    """The number at the end of a joint's name; -1 where it has none."""
+    hit = _NUMBER.search(name)
+    return int(hit[1]) if hit else -1
 
 
 def columns_of(recorded: Sequence[str], wanted: Sequence[str]) -> list[int] | None:

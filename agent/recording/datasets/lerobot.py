@@ -51,7 +51,10 @@ def read_lerobot(path: Path) -> Recorded:
         raise InputError(f"{path / INFO}: names no features or no fps, so it describes no LeRobot dataset")
     states, actions = (_names(features, feature) for feature in (_STATE, _ACTION))
     joints = _joints(path, states)
-    columns = {"position": [states.index(name) for name in joints], "command": _set_points(path, joints, actions)}
+    columns = {
+        _STATE: ([states.index(name) for name in joints], len(states)),
+        _ACTION: (_set_points(path, joints, actions), len(actions)),
+    }
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise InputError(f"{path}: no Parquet files in {path / 'data'}; fetch the whole dataset, not only meta")
@@ -64,20 +67,26 @@ def read_lerobot(path: Path) -> Recorded:
     notes = [f"{counted(len(whole), 'episode')} at {fps:g} Hz"]
     if isinstance(total := info.get("total_episodes"), int) and total > len(whole):
         notes[0] += f" of {total}; the files of the others are missing"
-    if actions and columns["command"] is None:
+    if actions and columns[_ACTION][0] is None:
         notes.append("no action of the set is a joint's set-point")
     if short:
         notes.append(f"{counted(len(short), 'episode')} of less than {_FEWEST_FRAMES} frames left out")
         whole = {number: frames for number, frames in whole.items() if number not in short}
     if not whole:
         raise InputError(f"{path}: no episode has {_FEWEST_FRAMES} frames")
+    episodes, off = zip(*(_episode(number, frames, fps) for number, frames in whole.items()), strict=True)
+    by_clock = max(off) > 0.5 / fps
+    if by_clock:
+        notes.append(
+            f"timestamps differ from frame_index at {fps:g} Hz by up to {max(off):.3g} s: the timestamps count"
+        )
     recorded = Recorded(
         path=path,
         joints=tuple(map(clean, joints)),
-        episodes=tuple(_episode(number, frames, fps) for number, frames in whole.items()),
+        episodes=episodes,
         unit="",
-        rate=float(fps),
-        facts={STAMPS: FRAME_NUMBER},
+        rate=None if by_clock else float(fps),
+        facts={} if by_clock else {STAMPS: FRAME_NUMBER},
         sha256=sha256_text("".join(map(sha256_file, files))),
         notes=tuple(notes),
     )
@@ -88,9 +97,11 @@ def read_lerobot(path: Path) -> Recorded:
 
 @dataclass(frozen=True, eq=False)
 class _Frames:
-    """Rows of one episode: number of the frame (K,), position and command (K, n)."""
+    """Rows of one episode: number and timestamp of the frame (K,), the latter in any unit or NaN, position and command
+    (K, n)."""
 
     number: np.ndarray
+    stamp: np.ndarray
     position: np.ndarray
     command: np.ndarray | None
 
@@ -143,19 +154,21 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "") or "none"
 
 
-def _episodes_in(file: Path, columns: dict[str, list[int] | None]) -> Iterator[tuple[int, _Frames]]:
-    """Numbers and frames of the episodes in a Parquet file."""
+def _episodes_in(file: Path, columns: dict[str, tuple[list[int] | None, int]]) -> Iterator[tuple[int, _Frames]]:
+    """Numbers and frames of the episodes in a Parquet file, of some `columns` of a feature that has so many names."""
     with open(file, "rb") as start:
         if start.read(len(_POINTER)) == _POINTER:
             raise InputError(f"{file}: a pointer of Git LFS, not the file itself: git lfs pull")
     table = read_table(file)
     episode, number = (_column(file, table, name) for name in ("episode_index", "frame_index"))
-    position = _matrix(file, table, _STATE, columns["position"] or [], len(episode))
-    wanted = columns["command"]
-    command = None if wanted is None else _matrix(file, table, _ACTION, wanted, len(episode))
+    stamp = table.column("timestamp")
+    if stamp is None or len(stamp) != len(episode):
+        stamp = np.full(len(episode), np.nan)
+    position, command = (_matrix(file, table, feature, *columns[feature], len(episode)) for feature in columns)
+    assert position is not None
     for index in np.unique(episode):
         rows = episode == index
-        yield int(index), _Frames(number[rows], position[rows], None if command is None else command[rows])
+        yield int(index), _Frames(number[rows], stamp[rows], position[rows], None if command is None else command[rows])
 
 
 def _column(file: Path, table: ColumnTable, name: str) -> np.ndarray:
@@ -167,18 +180,20 @@ def _column(file: Path, table: ColumnTable, name: str) -> np.ndarray:
     return column
 
 
-def _matrix(file: Path, table: ColumnTable, name: str, columns: list[int], rows: int) -> np.ndarray:
-    """(K, n) some columns of a feature."""
+def _matrix(
+    file: Path, table: ColumnTable, name: str, columns: list[int] | None, named: int, rows: int
+) -> np.ndarray | None:
+    """(K, n) some columns of a feature whose columns have as many names; None for none."""
+    if columns is None:
+        return None
     names = table.matrix(name) or ([name] if name in table.columns else [])
     arrays = [table.columns[title] for title in names]
     if arrays and len(arrays[0]) != rows and len(arrays) == rows:  # an episode with fewer frames than joints
         arrays = [*np.stack(arrays).T]
     if rows == 1 and name in table.constants:
         arrays = [np.array([table.constants[name]])]
-    if max(columns) >= len(arrays) or any(len(column) != rows for column in arrays):
-        raise InputError(
-            f"{file}: {name} has {len(arrays)} columns of numbers, and {INFO} names {max(columns) + 1} or more"
-        )
+    if len(arrays) != named or any(len(column) != rows for column in arrays):
+        raise InputError(f"{file}: {name} has {counted(len(arrays), 'column')} of numbers, and {INFO} names {named}")
     return np.stack([arrays[k] for k in columns], axis=1)
 
 
@@ -188,8 +203,26 @@ def _joined(parts: list[_Frames]) -> _Frames:
     order = np.argsort(number, kind="stable")
     commands = [part.command for part in parts if part.command is not None]
     position = np.concatenate([part.position for part in parts])
-    return _Frames(number[order], position[order], np.concatenate(commands)[order] if commands else None)
+    stamp = np.concatenate([part.stamp for part in parts])
+    return _Frames(number[order], stamp[order], position[order], np.concatenate(commands)[order] if commands else None)
 
 
-def _episode(number: int, frames: _Frames, fps: float) -> Episode:
-    return Episode(f"episode_{number:06d}", frames.number / fps, frames.position, frames.command)
+def _episode(number: int, frames: _Frames, fps: float) -> tuple[Episode, float]:
+    """An episode, and by how much its timestamps were off the frame numbers [s]; where they are off by more than half a
+    frame, a clock made them."""
+    time, stamp = frames.number / fps, _in_seconds(frames.stamp, fps)
+    off = 0.0
+    if stamp is not None:
+        stamp = stamp - stamp[0] + time[0]
+        off = float(np.max(np.abs(stamp - time)))
+        if off > 0.5 / fps:
+            time = stamp
+    return Episode(f"episode_{number:06d}", time, frames.position, frames.command), off
+
+
+def _in_seconds(stamp: np.ndarray, fps: float) -> np.ndarray | None:
+    """Rising timestamps in s, ms, µs or ns, whichever is nearest to the rate; None where they do not rise."""
+    steps = np.diff(stamp)
+    if not len(steps) or not np.all(steps > 0):
+        return None
+    return np.asarray(stamp / 1000.0 ** np.clip(np.rint(np.log10(np.median(steps) * fps) / 3), 0, 3))

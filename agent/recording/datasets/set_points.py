@@ -28,18 +28,23 @@ def checked(recorded: Recorded) -> Recorded:
     Raises:
         InputError: commands that are copies of positions, or that the positions do not follow, or no joint reverses.
     """
+    for episode in recorded.episodes:
+        if np.count_nonzero(episode.finite) < 2:
+            raise InputError(f"{recorded.path}: {episode.name}: fewer than two frames hold a number for every joint")
+    episodes = [episode.of_rows(episode.finite) for episode in recorded.episodes]
     names = recorded.joints or tuple(f"column {k + 1}" for k in range(recorded.columns))
-    moved = np.max([np.ptp(episode.position, axis=0) for episode in recorded.episodes], axis=0) > _MOVED
+    moved = np.max([np.ptp(episode.position, axis=0) for episode in episodes], axis=0) > _MOVED
     if not moved.any():
         raise InputError(f"{recorded.path}: no joint moves by {_MOVED:g} rad in any episode")
-    if all(episode.command is None for episode in recorded.episodes):
+    if all(episode.command is None for episode in episodes):
         return recorded
-    if all(_copied(episode, moved) for episode in recorded.episodes):
+    copied = np.all([_copied(episode) for episode in episodes if episode.command is not None], axis=0) & moved
+    if copies := [name for name, copy in zip(names, copied, strict=True) if copy]:
         raise InputError(
-            f"{recorded.path}: the commands are the positions themselves, not what the servos were sent. Record the "
-            "targets that go to the robot"
+            f"{recorded.path}: the commands of {', '.join(copies)} are the positions themselves, not what the servos "
+            "were sent. Record the targets that go to the robot"
         )
-    longest = max(recorded.episodes, key=lambda episode: len(episode.time))
+    longest = max(episodes, key=lambda episode: len(episode.time))
     if not are_followed(longest):
         correlation, gain = follows(longest)
         raise InputError(
@@ -47,7 +52,7 @@ def checked(recorded: Recorded) -> Recorded:
             f"{gain:.2g} in {longest.name}). Commands of the end effector, steps relative to the position, or those of "
             "another arm are no set-points of these joints"
         )
-    turns = np.sum([reversals(episode.position) for episode in recorded.episodes], axis=0)
+    turns = np.sum([reversals(episode.position) for episode in episodes], axis=0)
     few = moved & (turns < _FEWEST_REVERSALS)
     if np.array_equal(few, moved):
         raise InputError(
@@ -105,10 +110,10 @@ def _regression(command: np.ndarray, position: np.ndarray) -> tuple[float, float
     return common / float(np.sqrt(spread * np.var(position))), common / float(spread)
 
 
-def _copied(episode: Episode, moved: np.ndarray) -> bool:
-    """Whether commands are the positions of the same, or of the next frame."""
-    if episode.command is None:
-        return False
-    position, command = episode.position[:, moved], episode.command[:, moved]
-    same, following = np.abs(command - position), np.abs(command[:-1] - position[1:])
-    return bool(np.max(same, initial=0.0) < _COPIED or np.max(following, initial=0.0) < _COPIED)
+def _copied(episode: Episode) -> np.ndarray:
+    """(n,) which commands are the positions of the frame before, of the same, or of the next frame."""
+    position, command = episode.position, episode.command
+    assert command is not None
+    pairs = ((command[1:], position[:-1]), (command, position), (command[:-1], position[1:]))
+    apart = [np.max(np.abs(sent - measured), axis=0, initial=0.0) for sent, measured in pairs]
+    return np.asarray(np.min(apart, axis=0) < _COPIED)

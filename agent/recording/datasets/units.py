@@ -85,6 +85,8 @@ def units_of_columns(names: Sequence[str], values: np.ndarray, robot_type: str =
         return [_hand(name, step) or Unit("deg", math.pi / 180, reason) for name, step in columns]
     fine = all(step < 200 / _PERCENT_TICKS * (1 - _SAME_STEP) for step in known)  # no range is more than a turn
     steps_are = "their steps are finer than those of percent" if known else "the values have no step"
+    if len(known) > 1 and all(_same(step, known[0]) for step in known):  # no two ranges are alike: a rounding
+        fine, steps_are = True, f"every joint that moves has a step of {known[0]:.4g}, which percent do not have"
     if radian or (most <= _TURN and fine):
         reason = f"no joint goes beyond a turn, and {steps_are}"
         if radian:
@@ -93,7 +95,7 @@ def units_of_columns(names: Sequence[str], values: np.ndarray, robot_type: str =
     if not fine and most <= _PERCENT:
         return [_percent(name, step) for name, step in columns]
     maker = next((maker for maker in _IN_DEGREES if maker in robot_type.lower()), None)
-    if fine and (maker or most > _PERCENT):
+    if fine and (maker or _PERCENT < most <= math.degrees(_TURN)):
         reason = f"the values go to {most:.0f}, further than percent or rad, and {steps_are}"
         reason = reason if maker is None else f"that is the unit of {maker} arms, and {steps_are}"
         return [_hand(name, step) or Unit("deg", math.pi / 180, reason) for name, step in columns]

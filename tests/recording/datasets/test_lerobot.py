@@ -1,5 +1,6 @@
 """LeRobot datasets: every episode, joints by name, units from the step of the values."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -127,3 +128,79 @@ def test_missing_frames_are_a_gap(tmp_path: Path):
     (log,), _ = read_recording(folder, arm(SO101))
     assert log.segments == ((0, 100), (100, 260))
     assert log.t[100] == pytest.approx(140 / 30)
+
+
+def test_names_in_a_mapping_to_their_numbers_are_taken_by_number(tmp_path: Path):
+    (true,) = drawn(11)
+    names = {name: SO101.index(name) for name in sorted(SO101)}
+    folder = write_lerobot(tmp_path / "set", [[in_degrees(values) for values in true]], names=names)
+    (log,), _ = read_recording(folder, arm(SO101))
+    np.testing.assert_allclose(log.position, ticks(true[0]), atol=2e-5)
+
+
+def test_names_in_a_list_for_each_arm_are_of_that_arm(tmp_path: Path):
+    right, left = drawn(12, 13)
+    both = [np.hstack([in_degrees(one), in_degrees(other)]) for one, other in zip(right, left, strict=True)]
+    folder = write_lerobot(tmp_path / "set", [both], names={"right_arm": [*SO101], "left": [*SO101]})
+    (log,), _ = read_recording(folder, arm(SO101), "left")
+    np.testing.assert_allclose(log.position, ticks(left[0]), atol=2e-5)
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [(1, "float32"), (1e9, "int64")])
+def test_timestamps_of_a_clock_count_where_they_differ_from_the_numbers_of_frames(tmp_path: Path, unit, seconds):
+    (true,) = drawn(14, rate=20.0)
+    folder = write_lerobot(tmp_path / "set", [[in_degrees(values) for values in true]], fps=30)
+    clock = np.arange(300) / 20
+    clock[100:] += 0.5
+    file = folder / "data/chunk-000/file-000.parquet"
+    table = parquet.read_table(file)
+    stamps = pa.array((clock * unit).astype(seconds))
+    parquet.write_table(table.set_column(table.schema.get_field_index("timestamp"), "timestamp", stamps), file)
+    (log,), notes = read_recording(folder, arm(SO101))
+    np.testing.assert_allclose(log.t, clock, atol=2e-6)
+    assert log.segments == ((0, 100), (100, 300))
+    assert log.sample_rate == pytest.approx(20, rel=1e-3)
+    assert "stamps" not in log.metadata
+    assert any("timestamps differ from frame_index at 30 Hz by up to 5.48 s" in note for note in notes)
+
+
+def test_a_frame_without_a_number_is_dropped(tmp_path: Path):
+    (true,) = drawn(15)
+    states, actions = map(in_degrees, true)
+    states[50, 2] = np.nan
+    (log,), _ = read_recording(write_lerobot(tmp_path / "set", [(states, actions)]), arm(SO101))
+    np.testing.assert_allclose(log.reference_position, np.delete(ticks(true[1]), 50, 0), atol=2e-5)
+
+
+def test_joints_counted_from_0_are_none_of_joints_counted_from_1(tmp_path: Path):
+    from_0, from_1 = ([f"joint_{k + start}" for k in range(7 - start)] for start in (0, 1))
+    folder = write_lerobot(tmp_path / "set", drawn(16, joints=7), names=from_0)
+    with pytest.raises(InputError, match=r"its joints are joint_0, .*those of arm are joint_1, "):
+        read_recording(folder, arm(from_1))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda q: np.hstack([q, q[:, :1]]), "has 7 columns of numbers, and meta/info.json names 6"),
+        (lambda q: np.round(np.degrees(q), 1), "unit of the positions cannot be told: they go to 63, and their steps"),
+        (lambda q: np.degrees(q / 20), "goes from .*, its range from -1 to 1.*unit, zero or sign"),
+        (lambda q: q + 1, "goes from .*, its range from -1 to 1.*unit, zero or sign"),
+    ],
+)
+def test_numbers_that_are_not_what_the_names_or_the_arm_say_are_refused(tmp_path: Path, change, reason):
+    (true,) = drawn(17)
+    names = [f"j{k}" for k in range(6)]
+    narrow = arm(names)
+    narrow = replace(narrow, joints=tuple(replace(joint, lower=-1.0, upper=1.0) for joint in narrow.joints))
+    folder = write_lerobot(tmp_path / "set", [[change(values) for values in true]], names=names)
+    with pytest.raises(InputError, match=reason):
+        read_recording(folder, narrow)
+
+
+def test_joints_that_leave_the_ranges_of_the_arm_are_said(tmp_path: Path):
+    folder = write_lerobot(tmp_path / "set", [[in_degrees(values) for values in drawn(18)[0]]])
+    tight = arm(SO101)
+    tight = replace(tight, joints=tuple(replace(joint, upper=1.0) for joint in tight.joints))
+    _, notes = read_recording(folder, tight)
+    assert any(note.startswith("beyond their ranges: shoulder_pan goes from") for note in notes)

@@ -114,8 +114,13 @@ REFUSED = {
     "a hand too many": (lambda p: write_hdf5(p / "d.hdf5", processed_actions=np.ones((300, 4))), "4 set-points for 3"),
     "no HDF5": (lambda p: text_file(p / "d.h5"), "not a readable HDF5 file"),
     "pickle": (lambda p: text_file(p / "log.pkl"), r"runs whatever code .*np\.savez"),
-    "copied commands": (lambda p: torch_file(p / "c.pt", tensors(Q, Q)), "commands are the positions themselves"),
-    "the next position": (lambda p: torch_file(p / "c.pt", tensors(Q[:-1], Q[1:])), "commands are the positions"),
+    "copied commands": (lambda p: torch_file(p / "c.pt", tensors(Q, Q)), "are the positions themselves"),
+    "the next position": (lambda p: torch_file(p / "c.pt", tensors(Q[:-1], Q[1:])), "are the positions themselves"),
+    "the position before": (lambda p: torch_file(p / "c.pt", tensors(Q[1:], Q[:-1])), "commands of column 1"),
+    "a joint's own positions": (
+        lambda p: torch_file(p / "c.pt", tensors(Q, np.column_stack([R[:, 0], Q[:, 1:]]))),
+        "commands of column 2, column 3 are the positions themselves",
+    ),
     "one way": (lambda p: torch_file(p / "c.pt", tensors(*ramp())), "no joint reverses twice"),
     "no motion": (lambda p: torch_file(p / "c.pt", tensors(0 * Q, R)), "no joint moves"),
 }
