@@ -270,3 +270,5 @@ _READERS: dict[str, tuple[str, Callable[[Path], ColumnTable]]] = {
     ".xlsx": (".xlsx", _read_workbook),
     ".parquet": ("Parquet", _read_parquet),
 }
+#: Endings of tables.
+TABLES = tuple(_READERS)

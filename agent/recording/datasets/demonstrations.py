@@ -53,7 +53,8 @@ def _read(path: Path, file: Any) -> Recorded:
             f"joints: no servo can be identified from them. {_MAP}"
         )
     simulation = about.get("sim_args", {})
-    step = float(simulation.get("dt", 0)) * float(simulation.get("decimation", 1))
+    numbers = [simulation.get("dt"), simulation.get("decimation", about.get("decimation", 1))]
+    step = float(np.prod(numbers)) if all(isinstance(number, int | float) for number in numbers) else 0.0
     if not 1e-5 < step < 10:
         raise InputError(f"{path}: env_args says no dt, so the time of a step is unknown. {_MAP}")
     demos.sort(key=lambda name: int(name.removeprefix("demo_")))
@@ -66,6 +67,9 @@ def _read(path: Path, file: Any) -> Recorded:
 def _demonstration(path: Path, name: str, demo: Any, step: float) -> Episode:
     arms = demo.get(_ARTICULATIONS)
     names = sorted(arms) if arms is not None else []
+    command = _array(path, demo, _COMMANDS) if _COMMANDS in demo else None
+    if len(names) > 1 and command is not None:  # the commanded one
+        names = [each for each in names if np.shape(arms[each].get("joint_position"))[1:] == command.shape[1:]] or names
     if len(names) != 1:
         relative = "obs/joint_pos is relative to the default pose, and " if "obs" in demo and not names else ""
         listed = f"{len(names)} articulations ({', '.join(names)})" if names else "none"
@@ -75,7 +79,6 @@ def _demonstration(path: Path, name: str, demo: Any, step: float) -> Episode:
         )
     position = _array(path, arms[names[0]], "joint_position")
     velocity = _array(path, arms[names[0]], "joint_velocity") if "joint_velocity" in arms[names[0]] else None
-    command = _array(path, demo, _COMMANDS) if _COMMANDS in demo else None
     if command is not None and command.shape != position.shape:
         sizes = f"{command.shape[1]} set-points for {counted(position.shape[1], 'joint')}, {len(command)} steps"
         raise InputError(f"{path}: data/{name}: {_COMMANDS} has {sizes} and not {len(position)}. {_MAP}")
@@ -85,10 +88,10 @@ def _demonstration(path: Path, name: str, demo: Any, step: float) -> Episode:
 def _array(path: Path, group: Any, name: str) -> np.ndarray:
     """(K, n)."""
     dataset = group[name]
-    if dataset.ndim != 2 or dataset.size > _MOST_VALUES or dataset.dtype.kind not in "fiu":
-        raise InputError(
-            f"{path}: {dataset.name}: {dataset.shape} {dataset.dtype} is no table of numbers for each step"
-        )
+    size = getattr(dataset, "shape", ("a group",))
+    if len(size) != 2 or dataset.size > _MOST_VALUES or dataset.dtype.kind not in "fiu":
+        listed = " × ".join(map(str, size))
+        raise InputError(f"{path}: {dataset.name} ({listed}) is no table of one row of numbers for each step. {_MAP}")
     return np.asarray(dataset[()], dtype=float)
 
 
@@ -99,11 +102,12 @@ def _environment(text: Any) -> dict[str, Any]:
     except (ValueError, RecursionError):
         about = None
     about = about if isinstance(about, dict) else {}
-    parts = {key: about.get(key) for key in ("env_kwargs", "sim_args")}
-    return {key: part for key, part in parts.items() if isinstance(part, dict)}
+    parts = {key: part for key in ("env_kwargs", "sim_args") if isinstance(part := about.get(key), dict)}
+    return parts | {key: about[key] for key in ("decimation",) if key in about}
 
 
 def _controller(about: dict[str, Any]) -> str:
     """Type of the controller as robosuite names it, and what it steers."""
-    kind = str(re.findall(r'"type": "([A-Z_]+)"', json.dumps(about["env_kwargs"]))[-1:] or ["unknown"]).strip("[]'")
-    return f"end-effector ({kind})" if kind.startswith(("OSC", "IK")) else f"normalised ({kind})"
+    kinds = re.findall(r'"type": "([A-Z_]+)"', json.dumps(about["env_kwargs"])) or ["unknown"]
+    hand = next((kind for kind in kinds if kind.startswith(("OSC", "IK"))), None)
+    return f"end-effector ({hand})" if hand else f"normalised ({kinds[-1]})"

@@ -52,6 +52,8 @@ def _refuse_table(path: Path, joints: int | None = None) -> Recorded:
     )
 
 
+#: A shorter episode is no motion.
+_FEWEST_FRAMES = 10
 #: Formats of recordings that need no map.
 FORMATS = (
     DatasetFormat("lerobot", "a LeRobot dataset", is_lerobot, lambda path, joints: read_lerobot(path)),
@@ -86,7 +88,7 @@ def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = (),
     kind = _format_of(path) if preset is None else next(each for each in FORMATS if each.preset == preset)
     if kind is None:
         raise InputError(f"{path}: none of {', '.join(each.text for each in FORMATS)}")
-    recorded = kind.read(path, len(joints) or None)
+    recorded = _long_enough(kind.read(path, len(joints) or None))
     sides = sorted({side_of(name) for name in recorded.joints} - {""})
     if arm is not None and arm.lower() not in sides:
         raise InputError(
@@ -105,6 +107,20 @@ def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = (),
     side = arm.lower() if arm else sides[0]
     taken = recorded.of_columns([k for k, name in enumerate(recorded.joints) if side_of(name) in (side, "")])
     return replace(taken, joints=tuple(map(without_side, taken.joints)))
+
+
+def _long_enough(recorded: Recorded) -> Recorded:
+    """The recording without episodes that are too short for a motion.
+
+    Raises:
+        InputError: all are.
+    """
+    taken = tuple(each for each in recorded.episodes if np.count_nonzero(each.finite) >= _FEWEST_FRAMES)
+    if not taken:
+        raise InputError(f"{recorded.path}: no episode has {_FEWEST_FRAMES} frames with a number for every joint")
+    short = len(recorded.episodes) - len(taken)
+    said = (f"{counted(short, 'episode')} of less than {_FEWEST_FRAMES} frames left out",) if short else ()
+    return replace(recorded, episodes=taken, notes=(*recorded.notes, *said))
 
 
 def dataset_logs(
@@ -129,10 +145,11 @@ def dataset_logs(
     elif recorded.columns != robot.dof:
         raise InputError(
             f"{path}: has {counted(recorded.columns, 'column')} without names, and {robot.name} has "
-            f"{counted(robot.dof, 'joint')}: they can't be assigned"
+            f"{counted(robot.dof, 'joint')}: they can't be assigned. Say in a map which are its joints: agent import "
+            "--map"
         )
     else:
-        recorded = replace(recorded, notes=(*recorded.notes, _by_place(robot)))
+        recorded = replace(recorded, joints=robot.joint_names, notes=(*recorded.notes, _by_place(robot)))
     recorded = checked(_in_ranges(recorded, robot))
     return [_log(recorded, episode, robot) for episode in recorded.episodes], recorded.notes
 
@@ -141,25 +158,25 @@ def _in_ranges(recorded: Recorded, robot: RobotDescription) -> Recorded:
     """The recording, whose columns are the joints of a robot, with a note on those that leave their ranges.
 
     Raises:
-        InputError: a joint goes further than its range is wide, or about a place outside of it.
+        InputError: a joint goes further than its range is wide.
     """
     position = np.concatenate([episode.position for episode in recorded.episodes])
     least, most = np.nanmin(position, axis=0), np.nanmax(position, axis=0)
-    outside, foreign = [], []
+    outside, wider = [], []
     for joint, low, high in zip(robot.joints, least, most, strict=True):
         text = f"{joint.name} goes from {low:.3g} to {high:.3g}, its range from {joint.lower:.3g} to {joint.upper:.3g}"
         if low < joint.lower or high > joint.upper:
             outside.append(text)
-        if high - low > joint.upper - joint.lower or not joint.lower <= 0.5 * (low + high) <= joint.upper:
-            foreign.append(text)
-    advice = "so unit, zero or sign of the recording are not those of the model"
-    if foreign:
+        if high - low > joint.upper - joint.lower:
+            wider.append(text)
+    if wider:
         raise InputError(
-            f"{recorded.path}: {'; '.join(foreign)} (rad or m), {advice}. Import it with a map that has unit, scale "
-            "and offset (agent import --map), or correct the range"
+            f"{recorded.path}: {'; '.join(wider)} (rad or m): further than the range is wide, so its unit is another. "
+            "Import it with a map that says unit or scale (agent import --map), or correct the range"
         )
     if outside:
-        return replace(recorded, notes=(*recorded.notes, f"beyond their ranges: {'; '.join(outside)} (rad or m)"))
+        said = f"unit, zero or sign may not be those of the model: {'; '.join(outside)} (rad or m)"
+        return replace(recorded, notes=(*recorded.notes, said))
     return recorded
 
 

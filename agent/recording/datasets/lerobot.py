@@ -26,8 +26,6 @@ _STATE, _ACTION = "observation.state", "action"
 #: First bytes of a file that Git LFS has not fetched.
 _POINTER = b"version https://git-lfs"
 _MOST_FPS = 1e5
-#: A shorter episode is no motion.
-_FEWEST_FRAMES = 10
 #: Names that a message lists.
 _LISTED = 8
 
@@ -63,17 +61,11 @@ def read_lerobot(path: Path) -> Recorded:
         for number, frames in _episodes_in(file, columns):
             parts.setdefault(number, []).append(frames)
     whole = {number: _joined(frames) for number, frames in sorted(parts.items())}
-    short = [number for number, frames in whole.items() if len(frames.number) < _FEWEST_FRAMES]
     notes = [f"{counted(len(whole), 'episode')} at {fps:g} Hz"]
     if isinstance(total := info.get("total_episodes"), int) and total > len(whole):
         notes[0] += f" of {total}; the files of the others are missing"
     if actions and columns[_ACTION][0] is None:
         notes.append("no action of the set is a joint's set-point")
-    if short:
-        notes.append(f"{counted(len(short), 'episode')} of less than {_FEWEST_FRAMES} frames left out")
-        whole = {number: frames for number, frames in whole.items() if number not in short}
-    if not whole:
-        raise InputError(f"{path}: no episode has {_FEWEST_FRAMES} frames")
     episodes, off = zip(*(_episode(number, frames, fps) for number, frames in whole.items()), strict=True)
     by_clock = max(off) > 0.5 / fps
     if by_clock:
@@ -155,7 +147,7 @@ def _listed(names: list[str]) -> str:
 
 
 def _episodes_in(file: Path, columns: dict[str, tuple[list[int] | None, int]]) -> Iterator[tuple[int, _Frames]]:
-    """Numbers and frames of the episodes in a Parquet file, of some `columns` of a feature that has so many names."""
+    """Numbers and frames of the episodes in a Parquet file, of `columns`: which of a feature, and how many it names."""
     with open(file, "rb") as start:
         if start.read(len(_POINTER)) == _POINTER:
             raise InputError(f"{file}: a pointer of Git LFS, not the file itself: git lfs pull")

@@ -23,10 +23,16 @@ from agent.recording.datasets.episodes import Episode, Recorded
 #: Field of the file → field of an episode, in rad and s.
 _FIELDS = {"time": "time", "dof_pos": "position", "des_dof_pos": "command", "dof_vel": "velocity"}
 _NEEDED = ("time", "dof_pos", "des_dof_pos")
+#: Fields that some add: names of the joints in the order of the columns.
+_NAMES = ("joint_names", "dof_names", "joint_order")
 #: Types of the numbers in a storage.
-_STORAGES = {"FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "LongStorage": "i8", "IntStorage": "i4"}
+_STORAGES = {
+    **{"FloatStorage": "f4", "DoubleStorage": "f8", "HalfStorage": "f2", "BFloat16Storage": "u2", "BoolStorage": "u1"},
+    **{"LongStorage": "i8", "IntStorage": "i4", "ShortStorage": "i2", "CharStorage": "i1", "ByteStorage": "u1"},
+}
+_HALF_OF_FLOAT = "BFloat16Storage"  # the upper two bytes of a float32
 #: Limits of the pickle [bytes] and of all numbers: a real one has 300 bytes, an hour of 12 joints at 500 Hz 45 million.
-_MOST_PICKLE, _MOST_VALUES = 2**16, 2**26
+_MOST_PICKLE, _MOST_VALUES, _MOST_AXES = 2**16, 2**26, 8
 _TENSOR, _ORDERED = "torch._utils _rebuild_tensor_v2", "collections OrderedDict"
 
 
@@ -45,12 +51,12 @@ class _Named:
 class _Storage:
     """Numbers in the zip."""
 
-    code: str
+    kind: str
     key: str
 
 
 def read_pace(path: Path) -> Recorded:
-    """The motion in a PACE file. It names no joints: its columns are in the order of the arm.
+    """The motion in a PACE file. Unless it names the joints, its columns are in the order of the arm.
 
     Raises:
         InputError: no zip of torch, anything in it but tensors, or sizes that do not fit together.
@@ -72,7 +78,9 @@ def read_pace(path: Path) -> Recorded:
         ) from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    return Recorded(path, (), (Episode(path.stem, **arrays),), sha256=sha256_file(path))
+    listed = next((names for key in _NAMES if isinstance(names := content.get(key), list | tuple)), ())
+    joints = tuple(map(str, listed)) if len(listed) == arrays["position"].shape[1] else ()
+    return Recorded(path, joints, (Episode(path.stem, **arrays),), sha256=sha256_file(path))
 
 
 def _check_shapes(arrays: dict[str, np.ndarray]) -> None:
@@ -103,10 +111,11 @@ def _content(archive: zipfile.ZipFile) -> dict[Any, Any]:
         if name not in entries:
             raise _Refused(f"the numbers {storage.key} are missing")
         data = archive.read(name)
-        kind = np.dtype((">" if big else "<") + storage.code)
+        kind = np.dtype((">" if big else "<") + _STORAGES[storage.kind])
         if len(data) % kind.itemsize:
             raise _Refused(f"the numbers {storage.key} end within one")
-        return np.frombuffer(data, kind)
+        values = np.frombuffer(data, kind)
+        return (values.astype("u4") << 16).view("f4") if storage.kind == _HALF_OF_FLOAT else values
 
     content = _PickleWalk(numbers).result(archive.read(pickles[0]))
     if not isinstance(content, dict):
@@ -166,12 +175,13 @@ class _PickleWalk:
     def _set(self, count: int | None) -> None:
         items = self._popped(count)
         for key, value in zip(items[::2], items[1::2], strict=True):
-            if not isinstance(key, str):  # the hash of nested tuples may take for ever
-                raise _Refused("a key in it is no text")
+            if not isinstance(key, str | int):  # the hash of nested tuples may take for ever
+                raise _Refused("a key in it is neither text nor number")
             self._stack[-1][key] = value
 
     def _extend(self, count: int | None) -> None:
-        self._stack[-1].extend(self._popped(count))
+        items = self._popped(count)
+        self._stack[-1].extend(items)
 
     def _refer(self, _: Any) -> None:
         self._stack.append(_storage(self._stack.pop()))
@@ -205,12 +215,14 @@ class _PickleWalk:
         if not all(isinstance(n, int) and n >= 0 for n in (offset, *size, *stride)) or len(size) != len(stride):
             raise _Refused("a tensor has impossible sizes")
         self._values += int(np.prod(size, dtype=object))
-        if len(size) > 2 or self._values > _MOST_VALUES:
-            raise _Refused(f"its tensors hold more than {_MOST_VALUES} numbers, or have more than two dimensions")
+        if self._values > _MOST_VALUES or len(size) > _MOST_AXES:
+            raise _Refused(f"its tensors hold more than {_MOST_VALUES} numbers, or have more than {_MOST_AXES} axes")
         values = self._numbers(storage)
         last = offset + sum((count - 1) * step for count, step in zip(size, stride, strict=True))
-        if 0 in size or last >= len(values):
-            raise _Refused("a tensor is empty, or larger than its numbers")
+        if 0 in size:
+            return np.empty(size)
+        if last >= len(values):
+            raise _Refused("a tensor is larger than its numbers")
         axes = (np.arange(count) * step for count, step in zip(size, stride, strict=True))
         return values[offset + sum(np.meshgrid(*axes, indexing="ij"))].astype(float)
 
@@ -219,10 +231,10 @@ def _storage(identity: Any) -> _Storage:
     """('storage', type, key, device, count)."""
     if not (isinstance(identity, tuple) and len(identity) == 5 and isinstance(identity[1], _Named)):
         raise _Refused("it refers to something else than numbers in the zip")
-    code = _STORAGES.get(identity[1].name.removeprefix("torch "))
-    if code is None or not isinstance(identity[2], str):
+    kind = identity[1].name.removeprefix("torch ")
+    if kind not in _STORAGES or not isinstance(identity[2], str):
         raise _Refused(f"numbers of the type {identity[1].name} are not read")
-    return _Storage(code, identity[2])
+    return _Storage(kind, identity[2])
 
 
 _CONSTANTS: dict[str, Callable[[], Any]] = {

@@ -28,23 +28,24 @@ def checked(recorded: Recorded) -> Recorded:
     Raises:
         InputError: commands that are copies of positions, or that the positions do not follow, or no joint reverses.
     """
-    for episode in recorded.episodes:
-        if np.count_nonzero(episode.finite) < 2:
-            raise InputError(f"{recorded.path}: {episode.name}: fewer than two frames hold a number for every joint")
     episodes = [episode.of_rows(episode.finite) for episode in recorded.episodes]
-    names = recorded.joints or tuple(f"column {k + 1}" for k in range(recorded.columns))
     moved = np.max([np.ptp(episode.position, axis=0) for episode in episodes], axis=0) > _MOVED
     if not moved.any():
         raise InputError(f"{recorded.path}: no joint moves by {_MOVED:g} rad in any episode")
     if all(episode.command is None for episode in episodes):
         return recorded
     copied = np.all([_copied(episode) for episode in episodes if episode.command is not None], axis=0) & moved
-    if copies := [name for name, copy in zip(names, copied, strict=True) if copy]:
+    if copies := [name for name, copy in zip(recorded.joints, copied, strict=True) if copy]:
         raise InputError(
             f"{recorded.path}: the commands of {', '.join(copies)} are the positions themselves, not what the servos "
             "were sent. Record the targets that go to the robot"
         )
     longest = max(episodes, key=lambda episode: len(episode.time))
+    if not 0 < _period(longest) < _LONGEST_LAG:
+        raise InputError(
+            f"{recorded.path}: the frames of {longest.name} are {_period(longest):.3g} s apart. Say the unit of the "
+            "time in a map: agent import --map"
+        )
     if not are_followed(longest):
         correlation, gain = follows(longest)
         raise InputError(
@@ -60,7 +61,7 @@ def checked(recorded: Recorded) -> Recorded:
             "that goes forth and back"
         )
     if few.any():
-        listed = ", ".join(name for name, seldom in zip(names, few, strict=True) if seldom)
+        listed = ", ".join(name for name, seldom in zip(recorded.joints, few, strict=True) if seldom)
         return replace(recorded, notes=(*recorded.notes, f"too few reversals to show friction: {listed}"))
     return recorded
 
@@ -76,8 +77,7 @@ def follows(episode: Episode) -> tuple[float, float]:
     which they are most alike."""
     if episode.command is None:
         return 1.0, 1.0
-    period = (episode.time[-1] - episode.time[0]) / max(len(episode.time) - 1, 1)
-    lags = min(int(_LONGEST_LAG / period), len(episode.time) // 2)
+    lags = min(int(_LONGEST_LAG / _period(episode)), len(episode.time) // 2)
     regressions = []
     for k in np.flatnonzero(np.ptp(episode.position, axis=0) > _MOVED):
         position, command = episode.position[:, k], episode.command[:, k]
@@ -85,6 +85,11 @@ def follows(episode: Episode) -> tuple[float, float]:
         regressions.append(max(pairs))
     correlation, gain = np.median(regressions, axis=0) if regressions else (1.0, 1.0)
     return float(correlation), float(gain)
+
+
+def _period(episode: Episode) -> float:
+    """Mean time between frames [s]."""
+    return float((episode.time[-1] - episode.time[0]) / max(len(episode.time) - 1, 1))
 
 
 def reversals(position: np.ndarray) -> np.ndarray:

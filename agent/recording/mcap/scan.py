@@ -52,6 +52,7 @@ from agent.recording.mcap.message_forms import (
     parse_form,
 )
 from agent.recording.scratch import Scratch
+from agent.recording.tables import TABLES
 
 _MAGIC = b"\x89MCAP0\r\n"
 _LFS, _LFS_SIZE = b"version https://git-lfs", 32
@@ -165,6 +166,8 @@ def _read_mcap(path: Path, file: IO[bytes], messages: _Collector) -> None:
         what = "not an MCAP file" if size else "the file is empty"
         if (magic + file.read(_LFS_SIZE)).startswith(_LFS):
             raise InputError(f"{path}: a pointer of Git LFS, not the file itself: git lfs pull")
+        if path.suffix.lower() in TABLES:
+            raise InputError(f"{path}: a table. Describe its columns: agent import --map MAP.yaml {path.name} log.mcap")
         raise InputError(
             f"{path}: {what}; a log is an MCAP file or a bag of ROS, with sensor_msgs/msg/JointState messages"
         )

@@ -18,6 +18,13 @@ from agent.simulators.arm import plain_joint, plain_robot
 
 SO101 = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 TICK = 2 * np.pi / 4095
+STORAGES = {
+    "f4": "FloatStorage",
+    "f8": "DoubleStorage",
+    "f2": "HalfStorage",
+    "u2": "BFloat16Storage",
+    "u1": "ByteStorage",
+}
 
 
 def arm(names: Sequence[str], slides: Sequence[str] = ()) -> RobotDescription:
@@ -111,7 +118,7 @@ def text(value: str) -> bytes:
 def torch_file(path: Path, arrays: dict[str, np.ndarray], damage: dict[str, bytes] | None = None) -> Path:
     """What torch.save writes of a dict of tensors; `damage` replaces entries of the zip, or adds some."""
     items = [
-        text(name) + tensor(str(k), values.shape, {4: "FloatStorage", 8: "DoubleStorage"}[values.itemsize])
+        text(name) + tensor(str(k), values.shape, STORAGES[values.dtype.str[1:]])
         for k, (name, values) in enumerate(arrays.items())
     ]
     entries = {"data.pkl": b"\x80\x02}(" + b"".join(items) + b"u.", "byteorder": b"little", "version": b"3\n"}

@@ -34,7 +34,8 @@ def write_hdf5(path: Path, demos: int = 2, env_args: dict | None = None, joints:
             q, r = motion(300, joints, 100.0, number)
             arrays = {"processed_actions": r, "states/articulation/robot/joint_position": q, "obs/joint_pos": q - 1}
             for name, values in (arrays | moved).items():
-                demo[name] = values
+                if values is not None:
+                    demo[name] = values
     return path
 
 
@@ -45,6 +46,42 @@ def test_reads_each_layout_of_isaac_sims_csv(tmp_path: Path, fields):
     assert (log.velocity is None) == ("dq" not in fields)
     assert (log.reference_position is None) == ("cmd" not in fields)
     assert log.sample_rate == pytest.approx(100)
+
+
+@pytest.mark.parametrize("change", ["\ufeff{}", "# {}", ";", "\t", "t,", '"time",'])
+def test_reads_a_csv_with_names_in_any_notation(tmp_path: Path, change):
+    path = write_csv(tmp_path / "telemetry.csv", "q dq cmd")
+    names, numbers = path.read_text("utf-8").split("\n", 1)
+    if change in ";\t":
+        names, numbers = names.replace(",", change), numbers.replace(",", change)
+    path.write_text(
+        (change.format(names) if "{" in change else names.replace("time,", change)) + "\n" + numbers, "utf-8"
+    )
+    (log,), _ = read_recording(path, THREE)
+    np.testing.assert_allclose(log.reference_position, R, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("names", "reason"),
+    [
+        ("time,q1,q2,q4,cmd1,cmd2,cmd3", "q1…qN are not all there: 1, 2, 4"),
+        ("time,q1,q2,q3,cmd1,cmd2,cmd4", "not of the same joints: position 1, 2, 3; command 1, 2, 4"),
+        ("time,a_pos,b_pos,c_pos,a_cmd,b_cmd,c_cmd", r"a table\. Describe its columns: agent import --map"),
+    ],
+)
+def test_refuses_a_csv_with_other_columns(tmp_path: Path, names, reason):
+    path = write_csv(tmp_path / "telemetry.csv", "q cmd")
+    path.write_text(names + "\n" + path.read_text("utf-8").split("\n", 1)[1], "utf-8")
+    with pytest.raises(InputError, match=reason):
+        read_recording(path, THREE)
+
+
+def test_the_preset_takes_no_columns_with_other_names(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr("agent.pipeline.identify.load_arm", lambda *_: THREE)
+    path = tmp_path / "telemetry.csv"
+    path.write_text("time,a,b,c,a_cmd,b_cmd,c_cmd\n" + "0,1,2,3,1,2,3\n" * 20, "utf-8")
+    with pytest.raises(InputError, match="the columns time, a, b, c, a_cmd, b_cmd, c_cmd are not time, and one to"):
+        import_files("arm", "isaac-sysid", [path], tmp_path / "log.mcap")
 
 
 def test_imports_a_csv_without_names_by_its_preset(tmp_path: Path, monkeypatch):
@@ -67,6 +104,18 @@ def test_reads_every_demonstration_of_isaac_lab(tmp_path: Path):
     assert "12 episodes at 100 Hz (dt times decimation)" in notes
 
 
+def test_reads_the_commanded_of_two_articulations_and_leaves_out_empty_ones(tmp_path: Path):
+    others = {"states/articulation/cabinet/joint_position": np.zeros((300, 2))}
+    path = write_hdf5(tmp_path / "demos.hdf5", env_args={"sim_args": {"dt": 0.005}, "decimation": 2}, **others)
+    with h5py.File(path, "a") as file:
+        for name in ("processed_actions", "states/articulation/robot/joint_position"):
+            file[f"data/demo_2/{name}"] = np.zeros((0, 3))
+    logs, notes = read_recording(path, THREE)
+    assert [log.name for log in logs] == ["demo_0", "demo_1"]
+    assert logs[0].sample_rate == 100
+    assert "1 episode of less than 10 frames left out" in notes
+
+
 def test_a_dataset_becomes_a_folder_with_a_log_for_each_episode(tmp_path: Path, monkeypatch):
     monkeypatch.setattr("agent.pipeline.identify.load_arm", lambda *_: THREE)
     dataset = write_hdf5(tmp_path / "demos.hdf5")
@@ -86,6 +135,7 @@ def lerobot(folder: Path, **changes) -> Path:
 
 
 ENDS = ["x", "y", "z"]
+COMPOSITE = {"type": "BASIC", "right": {"type": "OSC_POSE", "gripper": {"type": "GRIP"}}}
 REFUSED = {
     "end-effector actions": (
         lambda p: lerobot(p / "set", actions=ENDS),
@@ -109,6 +159,18 @@ REFUSED = {
         lambda p: write_hdf5(p / "d.hdf5", env_args={"env_kwargs": {"control_freq": 20, "c": {"type": "OSC_POSE"}}}),
         r"actions are end-effector \(OSC_POSE\)",
     ),
+    "composite robomimic": (
+        lambda p: write_hdf5(p / "d.hdf5", env_args={"env_kwargs": {"control_freq": 20, "c": COMPOSITE}}),
+        r"actions are end-effector \(OSC_POSE\)",
+    ),
+    "set-points in a group": (
+        lambda p: write_hdf5(p / "d.hdf5", **{"processed_actions": None, "processed_actions/arm": R[:300]}),
+        r"processed_actions \(a group\) is no table",
+    ),
+    "time in words": (
+        lambda p: write_hdf5(p / "d.hdf5", env_args={"sim_args": {"dt": "fast"}}),
+        "env_args says no dt",
+    ),
     "no time": (lambda p: write_hdf5(p / "d.hdf5", env_args={}), "env_args says no dt"),
     "foreign HDF5": (lambda p: write_hdf5(p / "d.hdf5", demos=0), "neither Isaac Lab nor robomimic"),
     "a hand too many": (lambda p: write_hdf5(p / "d.hdf5", processed_actions=np.ones((300, 4))), "4 set-points for 3"),
@@ -116,11 +178,13 @@ REFUSED = {
     "pickle": (lambda p: text_file(p / "log.pkl"), r"runs whatever code .*np\.savez"),
     "copied commands": (lambda p: torch_file(p / "c.pt", tensors(Q, Q)), "are the positions themselves"),
     "the next position": (lambda p: torch_file(p / "c.pt", tensors(Q[:-1], Q[1:])), "are the positions themselves"),
-    "the position before": (lambda p: torch_file(p / "c.pt", tensors(Q[1:], Q[:-1])), "commands of column 1"),
+    "the position before": (lambda p: torch_file(p / "c.pt", tensors(Q[1:], Q[:-1])), "commands of a, b, c are"),
     "a joint's own positions": (
         lambda p: torch_file(p / "c.pt", tensors(Q, np.column_stack([R[:, 0], Q[:, 1:]]))),
-        "commands of column 2, column 3 are the positions themselves",
+        "commands of b, c are the positions themselves",
     ),
+    "time in ms": (lambda p: torch_file(p / "c.pt", tensors(Q, R, 10.0)), "frames of c are 10 s apart"),
+    "time that stands still": (lambda p: torch_file(p / "c.pt", tensors(Q, R, 0.0)), "frames of c are 0 s apart"),
     "one way": (lambda p: torch_file(p / "c.pt", tensors(*ramp())), "no joint reverses twice"),
     "no motion": (lambda p: torch_file(p / "c.pt", tensors(0 * Q, R)), "no joint moves"),
 }
@@ -138,8 +202,8 @@ def ramp() -> tuple[np.ndarray, np.ndarray]:
     return np.maximum(t - 0.1, 0), t
 
 
-def tensors(position: np.ndarray, command: np.ndarray) -> dict[str, np.ndarray]:
-    named = {"time": np.arange(len(position)) / 100, "dof_pos": position, "des_dof_pos": command}
+def tensors(position: np.ndarray, command: np.ndarray, period: float = 0.01) -> dict[str, np.ndarray]:
+    named = {"time": np.arange(len(position)) * period, "dof_pos": position, "des_dof_pos": command}
     return {name: np.ascontiguousarray(values, np.float32) for name, values in named.items()}
 
 

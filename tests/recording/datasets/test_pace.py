@@ -23,6 +23,24 @@ def test_reads_tensors(tmp_path: Path, chirp, kind):
     assert any("taken as a, b, c" in note for note in notes)
 
 
+def test_takes_half_precision_and_other_content(tmp_path: Path, chirp):
+    halves = {name: values.astype(np.float16) for name, values in chirp.items() if name != "time"}
+    halves["des_dof_pos"] = (chirp["des_dof_pos"].view(np.uint32) >> 16).astype(np.uint16)  # bfloat16
+    others = {"time": chirp["time"], "image": np.zeros((2, 3, 4), np.uint8), "nothing": np.zeros(0, np.float32)}
+    (log,), _ = read_recording(torch_file(tmp_path / "chirp.pt", others | halves), ARM)
+    np.testing.assert_allclose(log.position, chirp["dof_pos"], atol=1e-3)
+    np.testing.assert_allclose(log.reference_position, chirp["des_dof_pos"], atol=1e-2)
+
+
+def test_names_in_the_file_say_the_order_of_the_joints(tmp_path: Path, chirp):
+    path = torch_file(tmp_path / "chirp.pt", chirp)
+    with zipfile.ZipFile(path) as archive:
+        content = archive.read("chirp/data.pkl")
+    names = text("joint_names") + b"](" + text("c") + text("a") + text("b") + b"e"
+    (log,), _ = read_recording(torch_file(path, chirp, {"data.pkl": content[:-2] + names + b"u."}), ARM)
+    np.testing.assert_array_equal(log.position, chirp["dof_pos"][:, [1, 2, 0]])
+
+
 def test_joints_without_names_have_to_be_as_many_as_those_of_the_arm(tmp_path: Path, chirp):
     with pytest.raises(InputError, match="3 columns without names, and arm has 2 joints"):
         read_recording(torch_file(tmp_path / "chirp.pt", chirp), arm(["a", "b"]))
