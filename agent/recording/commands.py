@@ -52,6 +52,10 @@ def commanded(
         if len(several) == 1:
             taken = _on_stamps(scanned, several[0], fitting[several[0]], stamp, position, late)
             return replace(taken, repairs=()) if several[0] in states and taken.values is not None else taken
+        followed = {topic: _on_stamps(scanned, topic, fitting[topic], stamp, position, late) for topic in several}
+        followed = {topic: taken for topic, taken in followed.items() if taken.values is not None}
+        if len(followed) == 1:
+            return next(iter(followed.values()))
         if several:
             kind = f"several topics of set-points, none taken; choose one with --topic: {', '.join(several)}; topics"
             return CommandedPositions(repairs=(Repair(kind, 0.0, len(several)),))
@@ -101,7 +105,9 @@ def _on_stamps(
     if steps:
         values = held(stamp, at, rows.values)
     else:
-        at, knots = _followed(at, sent, rows.values) if topic in scanned.commands else (at, rows.values)
+        begin = np.clip(sent[0], stamp[0], stamp[-1])
+        start = position[min(int(np.searchsorted(stamp, begin)), len(stamp) - 1)]
+        at, knots = _followed(at, sent, rows.values, start) if topic in scanned.commands else (at, rows.values)
         at, first = np.unique(at, return_index=True)
         values = interpolated(stamp, at, knots[first])
     known = np.all(np.isfinite(values), axis=1)
@@ -118,11 +124,12 @@ def _on_stamps(
     return CommandedPositions(values, facts, (Repair(f"{kind}; samples", 0.0, int(known.sum())),))
 
 
-def _followed(at: np.ndarray, sent: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points of trajectories as they were followed: a trajectory ends where the next one is sent."""
+def _followed(at: np.ndarray, sent: np.ndarray, values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of trajectories as they were followed: the first begins at the position (n,) `start`, and each ends where
+    the next one is sent."""
     starts = np.flatnonzero(np.append(True, np.diff(sent) != 0))
-    times: list[int] = []
-    points: list[np.ndarray] = []
+    times = [int(sent[0])] if at[0] > sent[0] else []
+    points = [start] if times else []
     for first, stop in zip(starts, [*starts[1:], len(sent)], strict=True):
         begin = int(sent[first])
         while times and times[-1] > begin:

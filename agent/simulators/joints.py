@@ -68,6 +68,8 @@ def matched(
     pairs = taken | joint_pairs(free, [name for name in wanted if name not in taken.values()])
     matches = {name: pairs[name] for name in in_file if name in pairs}
     missing = [name for name in wanted if name not in matches.values() and not is_gripper(name)]
+    if len(matches) == len(in_file) and _of_another_arm(missing, [*matches.values()]):
+        missing = []
     if not matches or (missing and names is None):
         unmatched = [name for name in in_file if name not in matches]
         likeliest = max(
@@ -82,6 +84,20 @@ def matched(
             f"is which with --map FILE, in YAML: joints: {example}"
         )
     return matches
+
+
+def _of_another_arm(names: Sequence[str], arm: Sequence[str]) -> bool:
+    """Whether names are those of an arm's joints, but for another beginning: right_joint_1 for left_joint_1."""
+    if not names or not arm:
+        return False
+    own, other = _beginning(arm), _beginning(names)
+    return own != other and {name[len(other) :] for name in names} <= {name[len(own) :] for name in arm} - {""}
+
+
+def _beginning(names: Sequence[str]) -> str:
+    """What all names begin with."""
+    first, last = min(names), max(names)
+    return first[: next((k for k, pair in enumerate(zip(first, last, strict=False)) if len({*pair}) > 1), len(first))]
 
 
 def _map_of(pairs: Mapping[str, str | None]) -> str:

@@ -67,6 +67,19 @@ def test_reports_a_file_with_fewer_joints_than_the_logs():
         matched(Path("arm.xml"), ["a"], ["pan", "lift"], "the logs", None)
 
 
+def test_joints_of_another_arm_in_the_logs_are_not_missed():
+    left, right = ([f"{side}_joint_{k}" for k in (1, 2)] for side in ("left", "right"))
+    assert matched(Path("arm.xml"), left, [*right, *left], "the logs", None) == {name: name for name in left}
+    for wanted in ([*left, "left_joint_3"], [*left, "lift"]):
+        with pytest.raises(InputError, match="only in the logs"):
+            matched(Path("arm.xml"), left, wanted, "the logs", None)
+
+
+def test_joints_counted_from_0_are_proposed_in_their_order():
+    with pytest.raises(InputError, match=r"matched none.*joints: \{joint_1: joint_0, joint_2: joint_1\}$"):
+        matched(Path("arm.xml"), ["joint_1", "joint_2"], ["joint_1", "joint_0"], "the logs", None)
+
+
 def test_joints_are_matched_by_a_map(tmp_path, robot):
     path = written(tmp_path, URDF.replace('"pan"', '"shoulder"').replace('"lift"', '"elbow"'), "other.urdf")
     with pytest.raises(InputError, match=r"matched none; only in robot bench: pan, lift; .* shoulder, elbow.*--map"):

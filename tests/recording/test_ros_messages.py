@@ -257,6 +257,34 @@ def test_a_trajectory_is_followed_until_the_next_one_comes(tmp_path: Path):
     assert log.metadata["command_hold"] == "smooth"
 
 
+def test_a_stream_of_points_ahead_is_followed_from_the_first_position(tmp_path: Path):
+    def make(k: int) -> dict[str, Any]:
+        return {"header": header(k), "joint_names": [*NAMES], "points": [point(R[k], after=0.05)]}
+
+    log = read_log(write(tmp_path / "log.mcap", joint_states=PLAIN, commands=trajectory(make)), ARM)
+    followed = [Q[0]]
+    for target in R[:-1]:  # a fifth of the way to each point, until the next one comes
+        followed.append(followed[-1] + (target - followed[-1]) / 5)
+    np.testing.assert_allclose(log.reference_position, followed, atol=1e-6)
+
+
+def test_of_topics_without_names_the_one_that_joints_follow_is_taken(tmp_path: Path):
+    topics = {"effort_commands": array_of(np.random.default_rng(0).normal(size=R.shape)), "commands": array_of(R)}
+    log = read_log(write(tmp_path / "log.mcap", joint_states=PLAIN, **topics), ARM)
+    np.testing.assert_array_equal(log.reference_position, R)
+
+
+def test_set_points_are_taken_by_their_own_names(tmp_path: Path):
+    kind, text, make = STATES["franka"]
+
+    def other(k: int) -> dict[str, Any]:
+        desired = {**joint_state(k, R[:, [2, 0, 1]]), "name": ["c", "a", "b"]}
+        return {**make(k), "desired_joint_state": desired}
+
+    log = read_log(write(tmp_path / "log.mcap", state=(kind, text, other)), ARM)
+    np.testing.assert_array_equal(log.reference_position, R)
+
+
 def test_numbers_that_no_joint_follows_are_no_set_points(tmp_path: Path):
     noise = np.random.default_rng(0).normal(size=R.shape)
     log = read_log(write(tmp_path / "log.mcap", joint_states=PLAIN, effort_commands=array_of(noise)), ARM)

@@ -35,6 +35,7 @@ class MessageForm:
     ----------
     names : path of the joint names; empty: the message has none, and its joints are numbered.
     position, velocity, effort, set_point : paths of arrays, of which the first that is filled counts.
+    set_point_names : path of the joint names of the set-points, where these have their own.
     interfaces : path of a list with `interface_names` and `values` for each joint instead.
     points : path of a list of set-points with `positions` and `time_from_start`, which follow the stamp.
     stamp : paths of seconds and nanoseconds; empty: the receive time counts.
@@ -47,6 +48,7 @@ class MessageForm:
     velocity: tuple[str, ...] = ()
     effort: tuple[str, ...] = ()
     set_point: tuple[str, ...] = ()
+    set_point_names: str = ""
     interfaces: str = ""
     points: str = ""
     stamp: tuple[str, ...] = ("header.stamp.sec", "header.stamp.nanosec")
@@ -77,6 +79,7 @@ FORMS = {
         velocity=("measured_joint_state.velocity",),
         effort=("measured_joint_state.effort",),
         set_point=("desired_joint_state.position",),
+        set_point_names="desired_joint_state.name",
         effort_is="torque",
     ),
     "lbr_fri_idl/LBRState": _LBR,
@@ -314,7 +317,11 @@ def parse_form(message: bytes, form: MessageForm, schema: MessageSchema, ros1: b
         parsed = [_point(walk, f"{form.points}[{k}]", len(names)) for k in range(walk.counts[form.points])]
     else:
         paths = (form.position, form.velocity, form.effort, form.set_point)
-        parsed = [([_numbers(walk, several, len(names)) for several in paths], ())]
+        arrays = [_numbers(walk, several, len(names)) for several in paths]
+        own = walk.texts.get(form.set_point_names, [*names])
+        if arrays[3] is not None and own != [*names]:
+            arrays[3] = arrays[3][[own.index(name) for name in names]] if sorted(own) == sorted(names) else None
+        parsed = [(arrays, ())]
     stamp = _clock(walk, form.stamp)
     layouts = []
     for offsets, delay in parsed:
