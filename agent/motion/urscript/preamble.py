@@ -27,7 +27,7 @@ _WORDS = re.compile(
     "|xor|pass|enter_critical|exit_critical"
 )
 _TOKEN = re.compile(
-    r"""\s+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])|[A-Za-z_]\w*(?!["'])|"[^"\\]*"|[=!<>]=|[-+*/%<>=(),:\[\]]""",
+    r"""\s+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?![\w.])|[A-Za-z_]\w*(?!["'])|"[^"\\]*"(?!\s*")|[=!<>]=|[-+*/%<>=(),:\[\]]""",
     re.ASCII,
 )
 _FOLDER = re.compile(r'\$ \d+ "[^"]*"(?: "[^"]*")*')  # PolyScope's tree of the program

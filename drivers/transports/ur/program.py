@@ -25,12 +25,12 @@ LINES = (
 )
 #: The rows of these lines in order, and how often each may stand there.
 _PREAMBLE = (
-    (r"write_output_integer_register\(25, *(?P<number>\d{1,10})\)", 1, 1),
+    (r"write_output_integer_register\(25, *(?P<number>[1-9]\d{0,9})\)", 1, 1),
     (r"write_output_integer_register\(24, *-1\)", 0, 1),
     (r'rtde_set_watchdog\("input_int_register_24", *(?P<hertz>\d+\.?\d*), *"stop"\)', 1, 1),
     (r"set_tcp\([^()]*\)", 0, 1),
     (r"set_(?:target_)?payload\([^()]*\)", 0, 1),
-    (r"while read_input_integer_register\(25\) *!= *(?P<permit>\d{1,10}):", 1, 1),
+    (r"while read_input_integer_register\(25\) *!= *(?P<permit>[1-9]\d{0,9}):", 1, 1),
     (r"sync\(\)", 1, 1),
     (r"end", 1, 1),
     (r"write_output_integer_register\(25, *0\)", 1, 1),
@@ -38,7 +38,7 @@ _PREAMBLE = (
 #: What no later row holds: another watchdog, tool or payload, another answer to the driver, another meaning of the
 #: words above.
 _LATER = re.compile(
-    r"(?i)rtde_set_watchdog|write_output_integer_register\(\s*(?!\d+\s*,)|write_output_integer_register\(\s*25\s*,"
+    r"(?i)rtde_set_watchdog|write_output_integer_register(?!\(\s*(?!0*25\b)\d+\s*,)"
     r"|\b(?:def|thread|sec)\s+(?:read_|write_|set_|sync\b)|\b(?:thread|sec)\b|\bset_(?:tcp|(?:target_)?payload)\b"
 )
 _OPENS = re.compile(r"(?:def|thread|sec|while|if)\b")
@@ -84,6 +84,7 @@ class UrProgram:
         if (
             not later
             or said["number"] != said["permit"]
+            or int(said["number"]) >= 2**31
             or not 1 / WATCHDOG <= float(said["hertz"]) <= 4 / WATCHDOG
             or any(_LATER.search(row) for row in later)
             or not _closed(later)
