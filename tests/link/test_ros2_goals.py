@@ -178,23 +178,43 @@ def test_without_the_types_no_goal_is_sent(link, monkeypatch):
     assert ros.typed("no_such_msgs.msg", "Nothing") is None
 
 
-@pytest.mark.parametrize(("chosen", "used"), [(None, "UDPv4"), ("DEFAULT", "DEFAULT")])
+LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+UDP, MEMORY = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}, {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
+BY_PROFILE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", "FASTRTPS_DEFAULT_PROFILES_FILE": ros._LOCAL}
+
+
+@pytest.mark.parametrize(
+    ("chosen", "used"),
+    [
+        ({}, UDP),
+        (MEMORY, MEMORY),
+        (LOCAL, BY_PROFILE),
+        ({**LOCAL, "FASTRTPS_DEFAULT_PROFILES_FILE": ros._LOCAL}, BY_PROFILE),  # of the second process
+        ({**LOCAL, "FASTRTPS_DEFAULT_PROFILES_FILE": "mine.xml"}, LOCAL),
+        ({**LOCAL, "ROS_STATIC_PEERS": "192.0.2.1"}, LOCAL),
+        ({**LOCAL, **MEMORY}, LOCAL),
+        ({**LOCAL, "middleware": "rmw_cyclonedds_cpp"}, LOCAL),
+        ({**LOCAL, "begun": "1"}, LOCAL),
+    ],
+)
 def test_a_node_that_is_killed_holds_no_lock_that_others_wait_for(monkeypatch, chosen, used):
     """By shared memory an agent that was killed kept the emulated arm from moving, braking and publishing for 3 s."""
-    name, seen = "FASTDDS_BUILTIN_TRANSPORTS", []
-    monkeypatch.setenv(name, chosen or "")
-    if chosen is None:
-        monkeypatch.delenv(name)
+    monkeypatch.setattr(os, "environ", dict(chosen))
+    seen = {}
     nothing = lambda *_, **__: SimpleNamespace(add_node=lambda node: None)  # noqa: E731
     options = SimpleNamespace(NO=0)
-    init = lambda **_: seen.append(os.environ[name])  # noqa: E731
+    init = lambda **_: seen.update(os.environ)  # noqa: E731
+    middleware = chosen.get("middleware", "rmw_fastrtps_cpp")
+    monkeypatch.setattr(ros, "_begins", lambda: "begun" not in chosen)
     for package, values in {
         "rclpy": {"Context": nothing, "init": init, "SignalHandlerOptions": options},
         "rclpy.executors": {"SingleThreadedExecutor": nothing},
         "rclpy.node": {"Node": nothing},
+        "rclpy.utilities": {"get_rmw_implementation_identifier": lambda: middleware},
     }.items():
         module = ModuleType(package)
         vars(module).update(values)
         monkeypatch.setitem(sys.modules, package, module)
     ros.Ros(0, "agent")
-    assert seen == [used]
+    assert seen.items() >= used.items()
+    assert {**os.environ, **chosen} == os.environ, "what was chosen stays for others, and for the second process"

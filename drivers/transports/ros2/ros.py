@@ -6,12 +6,15 @@ wait in the middleware and are taken all at once, turn by turn.
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import importlib
 import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +25,12 @@ from drivers.wire.ros2 import RosAddress
 
 #: Samples that wait in the middleware: at 10 a busy process loses one in ten, at 2000 it loses nothing.
 DEPTH = 2000
-#: Fast DDS by UDP alone, as far as rmw_fastrtps heeds it: not with a discovery range of LOCALHOST. By shared memory, 2
-#: of 29 agents that were killed kept the emulator from publishing for 3.0 s, as by a lock that they held.
+#: Fast DDS by UDP alone. By shared memory, 2 of 29 agents that were killed kept the emulator from publishing for 3.0 s,
+#: as by a lock that they held.
 _TRANSPORT = "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
+#: rmw_fastrtps adds shared memory to a discovery range of LOCALHOST, so a profile says the same instead.
+_RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", str(Path(__file__).with_name("local_udp.xml"))
+_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"  # of Fast DDS 2 (Jazzy) and 3 (Kilted)
 _ANSWERS = 0.015  # s between two looks for answers: one takes as long as ten samples
 
 
@@ -34,6 +40,33 @@ def typed(package: str, name: str) -> Any:
         return getattr(importlib.import_module(package), name)
     except ImportError:
         return None
+
+
+@functools.cache
+def _begins() -> bool:
+    """Whether ROS 2 begins in this process only now: Fast DDS reads profiles once."""
+    return "rclpy" not in sys.modules
+
+
+@contextlib.contextmanager
+def _udp_alone() -> Iterator[None]:
+    """While rclpy begins: by UDP alone. What the user has chosen stays: middleware, transports, profile, peers."""
+    asked = os.environ.get(_RANGE, "")
+    from rclpy.utilities import get_rmw_implementation_identifier
+
+    local = (
+        os.environ.setdefault(*_TRANSPORT) == _TRANSPORT[1]
+        and (_begins() and asked == "LOCALHOST" and not os.environ.get("ROS_STATIC_PEERS"))
+        and get_rmw_implementation_identifier().startswith("rmw_fastrtps")
+        and all(os.environ.setdefault(name, _LOCAL) == _LOCAL for name in _PROFILES)
+    )
+    if local:
+        os.environ[_RANGE] = "SYSTEM_DEFAULT"
+    try:
+        yield
+    finally:
+        if local:
+            os.environ[_RANGE] = asked
 
 
 class Ros:
@@ -48,6 +81,7 @@ class Ros:
     """
 
     def __init__(self, domain: int, name: str) -> None:
+        _begins()
         try:
             import rclpy
             from rclpy.executors import SingleThreadedExecutor
@@ -58,11 +92,10 @@ class Ros:
                 "/opt/ros/jazzy/setup.bash`, and use a Python environment with --system-site-packages; "
                 f"{sys.executable} is in use"
             ) from None
-        os.environ.setdefault(*_TRANSPORT)
         self.context = rclpy.Context()
-        rclpy.init(
-            context=self.context, domain_id=domain, signal_handler_options=rclpy.SignalHandlerOptions.NO
-        )  # or SIGTERM would end nothing
+        no_handlers = rclpy.SignalHandlerOptions.NO  # or SIGTERM would end nothing
+        with _udp_alone():
+            rclpy.init(context=self.context, domain_id=domain, signal_handler_options=no_handlers)
         options = {"start_parameter_services": False, "enable_rosout": False}
         self.node, self._listener = (
             Node(each, context=self.context, use_global_arguments=False, **options)
