@@ -21,12 +21,11 @@ from math import isfinite
 import numpy as np
 
 from agent.diagnosis.document import Cause, EffectPlace
-from agent.diagnosis.gap.adequacy import closed_alone, shortfalls
+from agent.diagnosis.gap.adequacy import closed_alone, exceeds, main_joint, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset
 
 
@@ -140,16 +139,22 @@ def supported(
 
     If the causes close less than `explained` needs, or the change of the model's own parameters closes more than they
     do, another cause may exist: the likeliest one is named with the first. Causes that leave more than a healthy arm
-    leaves are no explanation (`shortfalls`); the others are judged again without them. If nothing else is left, the
-    causes explained at most the model's own error, unless the gap exceeds that by far.
+    leaves are no explanation (`shortfalls`), and those that are not `needed` name nothing; the others are judged again
+    without them. If nothing else is left, the causes explained at most the model's own error, unless a joint `exceeds`
+    that by far.
     """
+    dropped = bool(selected.causes)
     while True:
         gap = held_out_gap(dataset, selected.fit, unit)
         if not selected.causes:
-            return selected, gap
+            leaves_gap = selected.leaves_gap or (dropped and exceeds(selected.fit, gap))
+            return replace(selected, leaves_gap=leaves_gap), gap
         closed, alone = gap.closure or 0.0, closed_alone(selected.fit, gap, len(selected.causes))
         if not selected.rivals[0] and (closed < LIMITS.explained or alone < LIMITS.most * closed):
             selected = selected.with_runner_up()
+        if (fewer := needed(selected, gap)) is not None:
+            selected = fewer
+            continue
         causes = causes_of(dataset, selected, gap)
         lacking = shortfalls(selected.fit, gap, selected.causes, selected.irreplaceable)
         explanation = _explanation(causes, gap.closure)
@@ -162,6 +167,23 @@ def supported(
             [k for k, cause in enumerate(causes) if cause in kept and not lacking[k]],
             leaves_gap=selected.leaves_gap or any(lacking),
         )
+
+
+def needed(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCauses | None:
+    """Return the causes without the one that the model and the others replace best; None if all are needed.
+
+    These are fitted again without it, in the forms that they have then. What they do not close then has to be a tenth
+    of the gap, or of that of its joints where no larger cause has them.
+    """
+    count = len(selected.causes)
+    lost = []
+    for number in range(count):
+        others = selected.only([k for k in range(count) if k != number])
+        left = others.fit.out_of_fold(others.fit.transient)
+        shares = gap.closure_without(left), _closure_on_own(selected, gap, number, left)
+        lost.append((max(share or 0.0 for share in shares), number, others))
+    share, _, others = min(lost)
+    return others if share < LIMITS.least_share else None
 
 
 def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tuple[Cause, ...]:
@@ -179,16 +201,22 @@ def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tu
                 fit.reference, _floats(candidate.settings.items()), _floats(zip(candidate.names, values, strict=True))
             ),
             tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            gap.closure_on(candidate.joints, without) if _alone(selected.causes, number) else None,
+            _closure_on_own(selected, gap, number, without),
         )
         for number, (candidate, without, values, rivals, probability) in enumerate(parts)
     )
 
 
-def _alone(causes: Sequence[Candidate], number: int) -> bool:
-    """Whether a cause may be judged by the gap of its own joints: a larger cause has none of them."""
-    joints = set(causes[number].joints)
-    return bool(joints) and all(joints.isdisjoint(larger.joints) for larger in causes[:number])
+def _closure_on_own(selected: SelectedCauses, gap: HeldOutGap, number: int, without: np.ndarray) -> float | None:
+    """Part of the gap on a cause's joints that is lost if (S', n) [N·m] is left; None where a larger cause has some.
+
+    That of an effect of the whole arm is its main joint: most of the arm's gap may be the model's own error.
+    """
+    cause = selected.causes[number]
+    joints = cause.joints or (main_joint(selected.fit, gap, cause, without),)
+    if any(not set(joints).isdisjoint(larger.joints) for larger in selected.causes[:number]):
+        return None
+    return gap.closure_on(joints, without)
 
 
 def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:

@@ -184,7 +184,7 @@ def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
     part = "all" if closure > 0.995 else "less than 1 %" if abs(closure) < 0.005 else f"{100 * closure:.0f} %"
     if not in_torque(cause):
         return f"closes {part} of the gap between planned and executed path"
-    own = cause.get("closure_of_joints") if closure < _STEP else None  # named by its own joints
+    own = cause.get("closure_of_joints") if closure < _STEP and cause["joints"] else None  # named by its own joints
     if own is not None:  # little of the arm's gap is much of its own joints'
         return f"closes {100 * own:.0f} % of what the other causes leave on {place(cause)} ({part} of the arm's gap)"
     part = part if closure > -0.005 else "a part"  # the order of the steps gives its part to the others

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.diagnosis.gap.adequacy import LARGEST_ERROR, closed_alone, remainder_sizes, remainders, shortfalls
+from agent.diagnosis.gap.adequacy import LARGEST_ERROR, closed_alone, exceeds, remainder_sizes, remainders, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
 from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.verdict import needed
 from agent.model import CATALOGUE
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
@@ -79,6 +81,17 @@ def test_a_cause_is_not_rejected_for_what_the_model_closes_by_itself(size, by_mo
     assert judged((size, 0.0), by_model=by_model) == [""]
 
 
+@pytest.mark.parametrize(("before", "after", "expected"), [(3.0, 2.1, True), (3.0, 1.9, False), (1.9, 3.0, False)])
+def test_a_joint_errs_by_more_than_the_model_as_given_and_with_its_parameters_moved(before, after, expected):
+    """What two motions teach may be wrong on a third."""
+    raw, left = LONG[:, 0] * [before, 1.0], LONG[:, 0] * [after, 1.0]
+    raw, left = (rows / rms(rows) * [size, 1.0] for rows, size in ((raw, before), (left, after)))
+    fit = SimpleNamespace(near_rest=np.zeros(left.shape, dtype=bool), sigma=np.ones(left.shape))
+    gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
+    assert exceeds(fit, gap) is expected
+    assert not exceeds(SimpleNamespace(**{**vars(fit), "near_rest": ~fit.near_rest}), gap), "nothing moves"
+
+
 def test_a_remainder_does_not_count_for_a_cause_that_nothing_smooth_could_replace():
     torque, left, causes = [LONG[:, 1] * [9.0, 0.0]], LONG[:, 0] * [4.0, 1.0], [SimpleNamespace(joints=(0,))]
     assert "on joint_1" in reasons(left + torque[0], left, torque, causes)[0]
@@ -137,6 +150,37 @@ def test_on_an_arm_the_right_cause_passes_and_a_relative_of_it_does_not(case):
     assert (left.joint, left.size > 1) == ("joint_3", True)
     assert max(left.follows.values()) <= 1
     assert remainder_sizes(case.fit, held_out_gap(case, case.fit))[2] > left.size
+
+
+def best_form(dataset, effect: str, *others):
+    """The form of an effect on the last joint that leaves least, next to other forms."""
+    effect = CATALOGUE[effect]
+    forms = dataset.fit.candidates([(effect, (2,), settings) for settings in effect.settings(dataset.fit, (2,))])
+    return min(forms, key=lambda form: dataset.fit.with_chosen((form, *others)).error())
+
+
+def test_a_cause_that_the_others_replace_in_another_form_is_not_needed(case):
+    """Friction by load, in a poor form next to a level of its own: its best form needs none."""
+    right, level = best_form(case, "load_dependent_friction"), best_form(case, "friction_change")
+    poor = case.fit.candidate(right.effect, (2,), {**right.settings, "reversal_travel": 0.3})
+    alone, pair = (Hypothesis(forms, (), 9.0, {}, (0.1,) * len(forms), 1.0, 1.0) for forms in ((right,), (poor, level)))
+    both = SelectedCauses(
+        case.fit, case.fit.with_chosen((poor, level)), (poor, level), ((), ()), (0.9, 0.9), 1.0, (pair, alone), None
+    )
+    fewer = needed(both, held_out_gap(case, both.fit))
+    assert fewer.causes == (right,)
+    assert needed(fewer, held_out_gap(case, fewer.fit)) is None
+
+
+@pytest.mark.parametrize(
+    ("effect", "joints", "expected"),
+    [("torque_ripple", (1,), True), ("gravity_spring", (1,), False), ("wrist_coupling", (1, 2), False)],
+)
+def test_a_curve_over_position_or_a_cause_of_two_joints_may_not_leave_more(effect, joints, expected):
+    cause = SimpleNamespace(effect=CATALOGUE[effect], joints=joints)
+    evidence = SimpleNamespace(pool=SimpleNamespace(numbers=len), irreplaceable=lambda numbers, number: True)
+    selected = SelectedCauses(None, None, (cause,), ((),), (0.9,), 1.0, (), evidence)
+    assert selected.irreplaceable(0) is expected
 
 
 def irreplaceable(dataset, effect: str, joint: int) -> bool:

@@ -32,14 +32,27 @@ def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     That is the model's own error, what the formula of a certain cause misses (5 % of the squared error), and what the
     uncertainty of the fitted parameters makes of the motion that is held out. 1 is the limit.
     """
-    moving = ~fit.near_rest & ~np.isnan(gap.left)
-    before, after = (np.where(moving, rows, np.nan) for rows in (gap.raw, gap.left))
-    has_motion = moving.any(axis=0)
-    sizes = np.zeros(len(has_motion))
-    own = (LARGEST_ERROR * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, moving)
-    usual = own[has_motion] + (1 - LAW.certain) * rms(before[:, has_motion]) ** 2
-    sizes[has_motion] = rms(after[:, has_motion]) / np.sqrt(usual)
-    return sizes
+    before, after = _while_moving(fit, gap)
+    own = (LARGEST_ERROR * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, _moving(fit, gap))
+    return np.asarray(after / np.sqrt(own + (1 - LAW.certain) * before**2))
+
+
+def exceeds(fit: Fit, gap: HeldOutGap) -> bool:
+    """Return whether a joint errs by more than a model's own error, as given and also if its parameters move."""
+    return bool((np.minimum(*_while_moving(fit, gap)) >= LIMITS.usual_error * fit.sigma.min(axis=0)).any())
+
+
+def _while_moving(fit: Fit, gap: HeldOutGap) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) errors [N·m] before and after the causes while the joint moves; zero where it never does."""
+    moving = _moving(fit, gap)
+    count = np.maximum(moving.sum(axis=0), 1)
+    before, after = (np.sqrt(np.sum(np.where(moving, e, 0.0) ** 2, axis=0) / count) for e in (gap.raw, gap.left))
+    return before, after
+
+
+def _moving(fit: Fit, gap: HeldOutGap) -> np.ndarray:
+    """(S', n) bool: rows that count."""
+    return ~fit.near_rest & ~np.isnan(gap.left)
 
 
 def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
@@ -83,7 +96,7 @@ def shortfalls(
     own, sizes = closed_alone(fit, gap, len(causes)), remainder_sizes(fit, gap)
     reasons = []
     for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
-        joint = _main_joint(fit, gap, candidate, rows)
+        joint = main_joint(fit, gap, candidate, rows)
         trades = fit.given and len(causes) > 1
         if trades and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
             reasons.append("it and another cause cancel each other")
@@ -107,7 +120,7 @@ def closed_alone(fit: Fit, gap: HeldOutGap, count: int) -> float:
     return gap.closure_without(without) or 0.0
 
 
-def _main_joint(fit: Fit, gap: HeldOutGap, candidate: Candidate, taken_out: np.ndarray) -> int:
+def main_joint(fit: Fit, gap: HeldOutGap, candidate: Candidate, taken_out: np.ndarray) -> int:
     """The joint of a cause on which it explains most; `taken_out` (S', n) [N·m] is the error without it."""
     change = rms(gap.beyond(taken_out)) ** 2 - rms(gap.left) ** 2
     joints = list(candidate.joints or candidate.blocks)

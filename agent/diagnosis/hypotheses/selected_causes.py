@@ -76,17 +76,26 @@ class SelectedCauses:
         return next(h for h in self.hypotheses if not h.effects and not h.free).scale
 
     def irreplaceable(self, number: int) -> bool:
-        """Whether a cause of one joint, by number, is needed next to anything smooth there."""
-        pool = self.evidence.pool
-        return len(self.causes[number].joints) == 1 and self.evidence.irreplaceable(pool.numbers(self.causes), number)
+        """Whether a cause of one joint, by number, is needed next to anything smooth there, and is no smooth curve."""
+        cause, pool = self.causes[number], self.evidence.pool
+        of_joint = len(cause.joints) == 1 and "position" not in cause.effect.shapes
+        return of_joint and self.evidence.irreplaceable(pool.numbers(self.causes), number)
 
     def only(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
-        """The same finding with some of the causes, by number, and whether there is a gap without them."""
+        """The same finding with some of the causes, by number, and whether there is a gap without them.
+
+        Causes take the forms that they have without the others, if that was evaluated.
+        """
         if leaves_gap is not None:
             return replace(self, leaves_gap=leaves_gap).only(kept)
         if len(kept) == len(self.causes):
             return self
         causes = tuple(self.causes[k] for k in kept)
+        places = {cause.place for cause in causes}
+        by_themselves = next((h for h in self.hypotheses if not h.free and places == set(h.places)), None)
+        if by_themselves is not None:
+            forms = dict(zip(by_themselves.places, by_themselves.effects, strict=True))
+            causes = tuple(forms[cause.place] for cause in causes)
         return replace(
             self,
             fit=self.plain.with_chosen(causes) if causes else self.plain,
