@@ -10,7 +10,7 @@ import pytest
 from agent.diagnosis import diagnose, with_healthy_effects
 from agent.diagnosis.hypotheses import healthy
 from agent.estimation import estimate, filtering
-from agent.model import HealthyEffect, IdentifiedModel
+from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
 
@@ -77,6 +77,30 @@ def test_what_most_joints_have_is_no_fault_on_one_that_has_not_shown_it(like, na
     judged = record(plant, "judged", 31, 0.5)
     judged = replace(judged, effort=judged.effort + [2 * OFFSET, 0.0, 0.0])
     assert [cause["effect"] for cause in diagnose(plant.robot, [judged], model).result["causes"]] == named
+
+
+@pytest.mark.parametrize(
+    ("effect", "hidden", "known"),
+    [
+        ("stribeck", 0.02, [0.01] * 3),
+        ("stribeck", 0.01, [0.01] * 3),
+        ("stribeck", 0.0099, [0.01]),
+        ("torque_offset", 0.02, [0.01]),  # no arm has one by its nature
+    ],
+)
+def test_a_joint_whose_logs_would_not_have_shown_what_another_has_may_have_as_much(effect, hidden, known):
+    """Two of three joints show nothing of what one has 1 % of nominal torque of."""
+    more = {"effect": CATALOGUE[effect], "transient": False, "settings": {}, "names": ("amount",)}
+    forms = [SimpleNamespace(place=(effect, (joint,)), joints=(joint,), **more) for joint in range(3)]
+    log = SimpleNamespace(
+        gains=np.array([5.0, -3.0, -3.0]),
+        torque=np.array([0.01 / np.sqrt(3), 0.0, 0.0]),
+        hidden=np.full(3, hidden),
+        rms=[np.ones(1)] * 3,
+        values=[np.zeros(1)] * 3,
+    )
+    effects = healthy._effects(forms, [log] * 3, ("a", "b", "c"))
+    assert [size for size, _ in effects.values()] == pytest.approx(known)
 
 
 def test_torque_that_the_recorder_of_the_only_log_delays_is_no_fault(plant):

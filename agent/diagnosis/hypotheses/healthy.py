@@ -7,7 +7,7 @@ What an arm has is kept as parameters, not as torque: a delay is the same on a f
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import median_low
@@ -135,8 +135,8 @@ def _effects(
 
     The torque is the mean square over n - 2 of n logs, each explained by its best form: the variance of Student's
     predictive distribution with n degrees of freedom, as few logs say little about how large an effect can become.
-    Drives of an arm follow one law, so a joint that shows nothing may have what most of the other joints have, up to
-    what its logs would have shown.
+    Drives of an arm follow one law, so a joint that shows nothing may have what the arm has (`_of_the_arm`), up to what
+    its logs would have shown.
     """
     total = np.sum([of_log.gains for of_log in shown], axis=0)
     places: dict[HypothesisKey, list[int]] = {}
@@ -149,15 +149,31 @@ def _effects(
         squares = [of_log.torque[k] ** 2 for of_log, k in best if of_log.gains[k] > 0]
         sizes[place] = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
         known.update(numbers[:1] if squares and total[numbers[0]] > 0 else [])
+
+    def hidden(place: HypothesisKey) -> float:
+        return min(float(of_log.hidden[places[place]].min()) for of_log in shown)
+
     effects = {}
     for place, numbers in places.items():
         size = sizes[place]
-        if not size and (size := median_low(other for (name, _), other in sizes.items() if name == place[0])):
-            size = min(size, *(float(of_log.hidden[numbers].min()) for of_log in shown))
+        if not size and (size := _of_the_arm(place[0], sizes, hidden)):
+            size = min(size, hidden(place))
         kinds = {tuple(sorted(forms[k].settings)): k for k in reversed(numbers)}.values()
         if size > 0:
             effects[place] = size, [_entry(forms[k], k, shown, size, names, k in known) for k in kinds]
     return effects
+
+
+def _of_the_arm(name: str, sizes: Mapping[HypothesisKey, float], hidden: Callable[[HypothesisKey], float]) -> float:
+    """The median size of an effect over its places.
+
+    Of an effect that every arm has a little of, a place that shows nothing counts only if its logs would have shown the
+    largest: what it has is not known otherwise.
+    """
+    own = {place: size for place, size in sizes.items() if place[0] == name}
+    largest, usual = max(own.values()), CATALOGUE[name].usual
+    known = [size for place, size in own.items() if size or not usual or hidden(place) < largest]
+    return median_low(known) if largest else 0.0
 
 
 def _entry(
