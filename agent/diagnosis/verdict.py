@@ -179,8 +179,8 @@ def needed(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCauses | None:
     lost = []
     for number in range(count):
         others = selected.only([k for k in range(count) if k != number])
-        left = others.fit.out_of_fold(others.fit.transient)
-        shares = gap.closure_without(left), _closure_on_own(selected, gap, number, left)
+        remaining = others.fit.out_of_fold(others.fit.transient)
+        shares = gap.closure_without(remaining), _closure_on_own(selected, gap, number, remaining)
         lost.append((max(share or 0.0 for share in shares), number, others))
     share, _, others = min(lost)
     return others if share < LIMITS.least_share else None

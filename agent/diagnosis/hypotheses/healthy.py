@@ -165,9 +165,9 @@ def _effects(
 
 
 def _of_the_arm(name: str, sizes: Mapping[HypothesisKey, float], hidden: Callable[[HypothesisKey], float]) -> float:
-    """The median size of an effect over its places.
+    """The median size of an effect over the joints.
 
-    Of an effect that every arm has a little of, a place that shows nothing counts only if its logs would have shown the
+    Of an effect that every arm has a little of, a joint that shows nothing counts only if its logs would have shown the
     largest: what it has is not known otherwise.
     """
     own = {place: size for place, size in sizes.items() if place[0] == name}
