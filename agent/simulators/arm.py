@@ -18,7 +18,8 @@ from agent.simulators.servos import PositionServos
 #: `method` of a model that was read from a simulator's file.
 SIMULATOR = "simulator"
 
-_USUAL_SPEED, _USUAL_ACCELERATION = np.pi, 10.0  # rad/s and rad/s², or m, of a joint whose file and robot say nothing
+#: Speed [rad/s or m/s] and acceleration of a joint whose file and robot say nothing.
+USUAL_SPEED, _USUAL_ACCELERATION = np.pi, 10.0
 _REVERSAL = 2e-3  # of the highest speed, over which Coulomb friction changes sign
 _EXACT = 1e-6  # standard deviation of a parameter that may not move, over its value
 _CUTOFF, _ORDER = 30.0, 8  # Hz, of the filter, where the caller knows no better
@@ -47,7 +48,7 @@ class SimulatedArm:
     Per joint (n,), on the joint side: armature [kg·m²], damping [N·m·s/rad], frictionloss [N·m], its impedance (1:
     it holds a stationary joint; less: that creeps), stiffness [N·m/rad] and the rest position [rad] of the spring;
     `file_joints` are the joints' names in the file. `carrying` (n,): which body takes a change of each link. `servos`:
-    those of the file's joints, or why it has none. `step` [s] is that of the file's physics.
+    those of the file's joints, or why it has none. `step` [s] and `integrator` are those of the file's physics.
     """
 
     path: Path
@@ -63,6 +64,7 @@ class SimulatedArm:
     notes: tuple[str, ...] = ()
     servos: PositionServos | str = "a URDF has no servos"
     step: float | None = None
+    integrator: str | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -82,7 +84,7 @@ def plain_joint(name: str, prismatic: bool, lower: float, upper: float, speed: f
         prismatic=prismatic,
         gear_ratio=1.0,
         nominal_motor_torque=None,
-        max_velocity=float(speed) if 0 < speed < np.inf else _USUAL_SPEED,
+        max_velocity=float(speed) if 0 < speed < np.inf else USUAL_SPEED,
         max_acceleration=_USUAL_ACCELERATION,
         max_jerk=None,
         rotor_inertia=None,

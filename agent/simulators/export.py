@@ -33,6 +33,7 @@ from agent.simulators.urdf import child_of, digits, end_of, mjcf_inertial, moved
 
 _TABLE = "parameters.csv"
 _STATES = 50
+_NO_LIMIT = "1e9"  # a limit of a URDF has to have a number
 _TOLERANCE, _LEFT_OUT = 1e-9, 1e-4  # of the largest torque: round-off; base parameters, where pi has few digits
 _SPEEDS = np.linspace(0.02, 1.0, 50)  # of the fit's highest: where the line through a friction curve is laid
 
@@ -184,10 +185,22 @@ def urdf_text(model: IdentifiedModel, links: Iterable[_Link]) -> str:
         set_inertial(elements[link.name], link.block)
         for old in joints[link.joint.name].findall("dynamics"):
             joints[link.joint.name].remove(old)
+        _limit(joints[link.joint.name], link.joint)
         dynamics = {"damping": digits(link.damping), "friction": digits(link.friction)}
         SubElement(joints[link.joint.name], "dynamics", dynamics)
     child_of(child_of(root, "mujoco"), "option").set("gravity", digits(*robot.gravity))
     return _document(root)
+
+
+def _limit(element: Element, joint: Joint) -> None:
+    """Give a joint of a URDF its range, where its file was none or had no limits."""
+    if not np.isfinite([joint.lower, joint.upper]).all() or element.get("type") == "revolute":
+        return
+    element.set("type", "prismatic" if joint.prismatic else "revolute")
+    limit = child_of(element, "limit")
+    effort = _NO_LIMIT if joint.max_torque is None else digits(joint.max_torque)
+    limit.attrib.update({"effort": effort, "velocity": _NO_LIMIT, **limit.attrib})
+    limit.attrib.update(lower=digits(joint.lower), upper=digits(joint.upper))
 
 
 def mujoco_text(numbers: NumbersOfModel, links: Iterable[_Link], armature: np.ndarray, lines: np.ndarray) -> str:

@@ -114,7 +114,7 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
     joints = map(plain_joint, scene.joint_names, map(scene.slides, chosen), lower, upper)
     arm = SimulatedArm(
         path=path,
-        robot=plain_robot(str(root.get("model") or path.stem), urdf, _TIP, model.opt.gravity, joints),
+        robot=plain_robot(str(root.get("model") or path.stem), urdf, _TIP, scene.gravity, joints),
         file_joints=tuple(scene.names[j] for j in chosen),
         armature=np.array(model.dof_armature[dof]),
         damping=np.array(model.dof_damping[dof]),
@@ -126,6 +126,7 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
         notes=tuple(scene.notes()),
         servos=position_servos(scene.mujoco, model, chosen),
         step=float(model.opt.timestep),
+        integrator=scene.integrator,
     )
     scene.check(arm)
     return arm
@@ -181,6 +182,18 @@ class _Scene:
         # no serial arm, or forces on the arm that are not supported
         for reason in chain(self._branches(), self._floating_base(), self._equalities(), self._tendons()):
             raise InputError(f"{path}: {reason}")
+
+    @property
+    def gravity(self) -> list[float]:
+        """Three components [m/s²]."""
+        off = self.model.opt.disableflags & int(self.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        return [0.0] * 3 if off else [float(part) for part in self.model.opt.gravity]
+
+    @property
+    def integrator(self) -> str:
+        """As a file calls it."""
+        name = self.mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_")
+        return {"EULER": "Euler", "RK4": "RK4"}.get(name, name.lower())
 
     def slides(self, joint: int) -> bool:
         """Whether a joint is prismatic."""

@@ -21,7 +21,8 @@ class PositionServos:
     stiffness k [N·m/rad], damping d [N·m·s/rad]; low, high [N·m] the least and largest torque; least, most [rad] of the
     set-points; `control` (n, 2): the control of the file's actuator is control₀ + control₁ r, `gear` (n,) its gear;
     `actuators` and `inputs` (n,) are the indices of actuators and of their controls in the compiled model; `delay` (n,)
-    [s] of the actuators, `step` [s] of the simulation.
+    [s] of the actuators, `interpolations` (n,) between its samples (0: none, 1: linear, 2: cubic), `step` [s] of the
+    simulation.
     """
 
     stiffness: np.ndarray
@@ -35,6 +36,7 @@ class PositionServos:
     actuators: tuple[int, ...]
     inputs: tuple[int, ...]
     delay: np.ndarray
+    interpolations: tuple[int, ...]
     step: float
 
     def torque(self, set_points: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
@@ -67,6 +69,7 @@ def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionS
         actuators.append(servo[0])
         numbers[k] = servo[1]
     inputs = getattr(model, "actuator_ctrladr", np.arange(model.nu))
+    history = getattr(model, "actuator_history", np.zeros((model.nu, 2)))
     ports = tuple(int(inputs[actuator]) for actuator in actuators)
     stiffness, damping, low, high, least, most = numbers.T[:6]
     control, gear, delay = numbers[:, 6:8], numbers[:, 8], numbers[:, 9]
@@ -82,6 +85,7 @@ def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionS
         tuple(actuators),
         ports,
         delay,
+        tuple(int(history[actuator, 1]) for actuator in actuators),
         float(model.opt.timestep),
     )
 

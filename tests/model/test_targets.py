@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from math import pi
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -49,6 +50,7 @@ CHANGES = {
     ],
 }
 LATE = 0.067
+LOOSE = '<body pos="0 0 9"><joint name="door"/><geom size="0.1"/></body></worldbody>'
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +117,61 @@ def test_the_mjcf_moves_as_the_file_with_commands_that_much_later(numbers, fixed
     again = load_simulator(paths["two.xml"], None, ("pan", "slide"))
     np.testing.assert_allclose(again.arm.frictionloss, [0.2, 1.5])
     np.testing.assert_allclose(again.arm.stiffness, [0.0, 30.0])
+
+
+def moves(path: Path, command: np.ndarray) -> np.ndarray:
+    """(S, 2) positions under controls (S, 2), at steps of the file."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, places = mujoco.MjData(model), []
+    for control in command:
+        data.ctrl[:] = control
+        mujoco.mj_step(model, data)
+        places.append(data.qpos.copy())
+    return np.array(places)
+
+
+PLAIN = 'kp="20" kv="1" forcerange="-5 5"'
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('timestep="0.002" integrator="implicitfast"', 'timestep="0.004" integrator="Euler"'),
+        ('timestep="0.002" integrator="implicitfast"', 'timestep="0.005" integrator="RK4"'),
+        ('integrator="implicitfast"/>', 'integrator="implicitfast"><flag gravity="disable"/></option>'),
+        (PLAIN, 'kp="20" kv="1" forcerange="-1 5"'),
+        (PLAIN, 'kp="20" kv="1" ctrlrange="-0.1 0.3"'),
+        (PLAIN, 'kp="20" kv="1" delay="0.02" nsample="11"'),
+    ],
+)
+def test_the_mjcf_moves_as_the_file_of_other_people(tmp_path, old, new):
+    pytest.importorskip("mujoco")
+    source = written(tmp_path, SERVO.replace(old, new), "arm.xml")
+    paths, _ = exported(numbers_of_file(source), "mjcf", tmp_path)
+    command = 0.4 * np.sin(0.02 * np.arange(500))[:, None] * [1.0, 0.3]
+    np.testing.assert_allclose(moves(paths["two.xml"], command), moves(source, command), atol=1e-9)
+
+
+def test_what_a_file_does_not_say_is_not_made_up(tmp_path):
+    pytest.importorskip("mujoco")
+    numbers = numbers_of_file(written(tmp_path, SERVO.replace(PLAIN, f'{PLAIN} timeconst="0.1"'), "arm.xml"))
+    paths, said = exported(numbers, "isaaclab", tmp_path)
+    assert "no servos are in the files: the actuator of pan has a gain or filter of its own" in said
+    assert "VELOCITY = {'pan': None, 'slide': None}" in paths["isaaclab_3_0.py"].read_text("utf-8")
+    (pan, slide) = ElementTree.parse(paths["two.urdf"]).findall("joint")[:2]
+    for element, kind, most in ((pan, "revolute", 1.5), (slide, "prismatic", 0.5)):
+        limit = element.find("limit")
+        assert (element.get("type"), float(limit.get("lower")), float(limit.get("upper"))) == (kind, -most, most)
+
+
+def test_a_limit_that_differs_by_direction_is_said(tmp_path):
+    pytest.importorskip("mujoco")
+    source = written(tmp_path, SERVO.replace("-5 5", "-1 5").replace("</worldbody>", LOOSE), "arm.xml")
+    _, said = exported(numbers_of_file(source), "genesis", tmp_path)
+    assert "pan: its force goes from -1 to 5; where a file has one limit, it is 1" in said
+    assert "door ignored: no part of the arm" in said
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from agent.model import (
     possible_model,
 )
 from agent.robot import Dynamics, ParameterLayout, rotor_mass_matrix
-from agent.simulators.arm import SimulatedArm
+from agent.simulators.arm import USUAL_SPEED, SimulatedArm
 from agent.simulators.effect_numbers import in_numbers, left_out, torque_text, usual_motion
 from agent.simulators.export import assumed, body_texts, friction_lines
 from agent.simulators.loader import is_simulator, load_arm, load_simulator
@@ -29,6 +29,8 @@ from agent.simulators.servos import PositionServos
 from agent.simulators.urdf import moved_links
 
 _POSTURES = 200
+#: Names of MuJoCo's interpolations between delayed controls, by number.
+_INTERPOLATIONS = ("zoh", "linear", "cubic")
 
 
 @dataclass(frozen=True)
@@ -36,15 +38,16 @@ class JointNumbers:
     """One joint, SI on the joint side: rad or m, N·m or N.
 
     `inertia` is the least that it turns over its range, rotor included; `kp`, `kv`, `effort` and `delay` [s] are those
-    of its position servo, None where no servo is known; `stiffness`, `rest`: a spring. Of joints whose axles are
-    coupled, `armature`, `damping` and `frictionloss` are those of their own axle.
+    of its position servo, None where no servo is known; `force` and `asked`: its least and largest force and set-point,
+    None without limits; `interpolation` of a delayed set-point; `stiffness`, `rest`: a spring. Of joints whose axles
+    are coupled, `armature`, `damping` and `frictionloss` are those of their own axle.
     """
 
     name: str
     prismatic: bool
     lower: float
     upper: float
-    velocity: float
+    velocity: float | None
     armature: float
     damping: float
     frictionloss: float
@@ -54,7 +57,10 @@ class JointNumbers:
     kp: float | None = None
     kv: float | None = None
     effort: float | None = None
+    force: tuple[float, float] | None = None
+    asked: tuple[float, float] | None = None
     delay: float = 0.0
+    interpolation: str = "linear"
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,8 @@ class NumberRange:
 
 @dataclass(frozen=True)
 class ArmNumbers:
-    """An arm: joints base to tip, bodies as URDF and MJCF text, ranges, effects left out, the step of its file [s]."""
+    """An arm: joints base to tip, bodies as URDF and MJCF text, ranges, effects left out, its file's step [s] and
+    integrator."""
 
     name: str
     source: str
@@ -96,6 +103,7 @@ class ArmNumbers:
     left: tuple[LeftEffect, ...]
     notes: tuple[str, ...]
     step: float | None = None
+    integrator: str | None = None
 
     @property
     def has_servos(self) -> bool:
@@ -124,7 +132,17 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
     changes, ranges = path.with_name(f"{path.stem}.changes.json"), path.with_name(f"{path.stem}.ranges.yaml")
     left_effects = tuple(_of_changes(changes, simulator.model)) if changes.is_file() else ()
     told = tuple(_as_exported(_of_ranges(ranges), simulator.arm)) if ranges.is_file() else ()
-    return _of_model(simulator.model, path, servos, left_effects, told, simulator.arm.step)
+    numbers = _of_model(simulator.model, path, servos, left_effects, told, simulator.arm.step)
+    notes = [*simulator.notes, *numbers.notes]
+    if servos is None and not simulator.arm.is_urdf:
+        notes.append(f"no servos are in the files: {simulator.arm.servos}")
+    notes += [
+        f"{joint.name}: its force goes from {joint.force[0]:.4g} to {joint.force[1]:.4g}; where a file has one limit, "
+        f"it is {joint.effort:.4g}"
+        for joint in numbers.joints
+        if joint.force is not None and joint.force[0] != -joint.force[1]
+    ]
+    return replace(numbers, notes=tuple(notes), integrator=simulator.arm.integrator)
 
 
 def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
@@ -195,7 +213,7 @@ def _of_model(
             joint.prismatic,
             joint.lower,
             joint.upper,
-            joint.max_velocity,
+            None if joint.max_velocity == USUAL_SPEED else joint.max_velocity,
             float(joint.gear_ratio**2 * rotors[k]),
             float(lines[k, 0]),
             float(lines[k, 1]),
@@ -205,7 +223,10 @@ def _of_model(
             None if servos is None else float(servos.stiffness[k]),
             None if servos is None else float(servos.damping[k]),
             _effort(servos, k, joint.max_torque),
+            _limits(servos, "low", "high", k),
+            _limits(servos, "least", "most", k),
             0.0 if servos is None else float(delay[k]),
+            _INTERPOLATIONS[servos.interpolations[k]] if servos is not None and delay[k] > 0 else "linear",
         )
         for k, joint in enumerate(robot.joints)
     )
@@ -236,6 +257,12 @@ def _left(model: IdentifiedModel, entry: ModelEffect, leaves: str) -> LeftEffect
     torque, missing = torque[~turning], missing[~turning]
     misses = float(np.sum(missing**2) / np.sum(torque**2)) ** 0.5
     return LeftEffect(entry.effect, entry.joints, leaves, *((forces, misses) if misses < 1 else ()))
+
+
+def _limits(servos: PositionServos | None, low: str, high: str, k: int) -> tuple[float, float] | None:
+    """Two limits of a joint's servo; None where neither is finite."""
+    ends = (-np.inf, np.inf) if servos is None else (float(getattr(servos, low)[k]), float(getattr(servos, high)[k]))
+    return ends if np.any(np.isfinite(ends)) else None
 
 
 def _effort(servos: PositionServos | None, k: int, known: float | None) -> float | None:

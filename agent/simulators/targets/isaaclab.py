@@ -31,7 +31,7 @@ def _actuators(numbers: ArmNumbers, step: float, version: str, names: Mapping[st
             "kv, N·m·s/rad. Logs of positions fix kv + viscous friction only; split as in the file",
         ),
         "EFFORT": (numbers.table("effort"), "N·m; None keeps the USD's"),
-        "VELOCITY": (numbers.table("velocity"), "rad/s"),
+        "VELOCITY": (numbers.table("velocity"), "rad/s; None keeps the USD's"),
         "ARMATURE": (numbers.table("armature"), "kg·m²"),
         "FRICTION": (
             numbers.table("frictionloss"),
@@ -44,7 +44,7 @@ def _actuators(numbers: ArmNumbers, step: float, version: str, names: Mapping[st
         "stiffness": "_known(STIFFNESS)",
         "damping": "_known(DAMPING)",
         names["effort"]: "_limits(EFFORT)",
-        names["velocity"]: "VELOCITY",
+        names["velocity"]: "_limits(VELOCITY)",
         "armature": "ARMATURE",
         "friction": "FRICTION",
         "dynamic_friction": "FRICTION",

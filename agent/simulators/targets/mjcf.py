@@ -23,7 +23,8 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
     root = ElementTree.fromstring(numbers.mjcf)
     option = root.find("option")
     assert option is not None
-    option.attrib.update(timestep=digits(step), integrator="implicitfast")  # kv of a servo is integrated implicitly
+    # without a file's own, the one that integrates kv of a servo implicitly
+    option.attrib.update(timestep=digits(step), integrator=numbers.integrator or "implicitfast")
     elements = {element.get("name"): element for element in root.iter("joint")}
     actuator = SubElement(root, "actuator")
     passive: list[Element] = []
@@ -35,9 +36,12 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
                 actuator, "position", name=joint.name, joint=joint.name, kp=digits(joint.kp), kv=digits(joint.kv)
             )
         if joint.effort is not None:
-            element.set("forcerange", digits(-joint.effort, joint.effort))
+            element.set("forcerange", digits(*(joint.force or (-joint.effort, joint.effort))))
+        if joint.asked is not None:
+            element.set("ctrlrange", digits(*joint.asked))
         if joint.delay > 0:
-            element.attrib.update(nsample=str(samples(joint, step)), interp="linear", delay=digits(joint.delay))
+            delay = {"nsample": str(samples(joint, step)), "interp": joint.interpolation, "delay": digits(joint.delay)}
+            element.attrib.update(delay)
         forces = [entry.forces for entry in numbers.left if entry.forces and entry.joints == (joint.name,)]
         passive += _passive(elements[joint.name], joint, forces, step)
     actuator.extend(passive)  # behind the servos, which keep their numbers
