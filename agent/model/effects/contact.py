@@ -1,13 +1,14 @@
 """External force on the arm during short windows of time.
 
-The search runs in three steps: windows in which a constant force on a link leaves the least error (`Windows`), the
-windows that stand out from all others (`strongest`), and the point on the link where each force acts (`place_of`).
+The search runs in four steps: windows in which a constant force on a link leaves the least error (`Windows`), the
+windows that stand out from all others (`strongest`), the shape of the force in each (`shaped`), and the point on the
+link where each force acts (`place_of`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from heapq import heapify, heappop, heappush
 from types import MappingProxyType
@@ -18,6 +19,7 @@ from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 
 _EDGE = 0.15  # share of the duration over which a force rises, and falls
+_EDGES = (0.02, 0.15, 0.5, 0.85, 0.98)  # numerical: the same, each for itself, where the torque tells the shape
 _LINKS = 3  # numerical: links tried for the case that all pushes act on one link
 _DURATIONS = np.geomspace(0.2, 12.0, 14).tolist()  # s
 _STARTS = 0.05  # numerical: s between starts of windows
@@ -30,6 +32,7 @@ _BORDER = _DURATIONS[0]  # s: what is nearer than the shortest push is as good a
 _ALONE = 2.0  # factor over the window at the same phase of another cycle
 _LEAST_GAIN_RATIO = 0.02  # least gain over that of the strongest push
 _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
+_END_STEPS = 4  # numerical: steps by which each end moves while the shape is searched, over nearly half its duration
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # numerical: steps by which each end moves in the fit; steps per duration
 #: numerical: starts of the parts that are checked for a pause, per duration: as long as an edge, between the edges
 _PARTS = np.linspace(_EDGE, 1 - 2 * _EDGE, 10)
@@ -42,7 +45,7 @@ _LARGE = 1 / 3  # size of a link in any direction over the arm's reach, if it is
 
 
 class Contact(Effect):
-    """τ = −J_lᵀ F during one or several windows; F is constant except at the edges, at one point of link l each.
+    """τ = −J_lᵀ F during one or several windows, at one point of link l each, while F rises, is constant and falls.
 
     The point is the far end of the link, unless another one leaves less error.
     """
@@ -76,7 +79,9 @@ class Contact(Effect):
         by_link = sorted(by_link, key=lambda pushes: -sum(push.gain for push in pushes))[:_LINKS]
         sets = [pushes for pushes in (*by_link, strongest(windows)) if pushes]
         tried = [_settings(pushes[:count]) for pushes in sets for count in range(1, len(pushes) + 1)]
-        tried += [_settings(pushes, [place_of(push, motions) for push in pushes]) for pushes in sets]
+        in_shape = [[shaped(push, motions) for push in pushes] for pushes in sets]
+        tried += [_settings(pushes) for pushes in in_shape]
+        tried += [_settings(pushes, [place_of(push, motions) for push in pushes]) for pushes in (*sets, *in_shape)]
         return list({str(entry): entry for entry in tried}.values())
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
@@ -90,9 +95,8 @@ class Contact(Effect):
             log, link, start, lasting = (settings[f"{key}_{number}"] for key in ("log", "link", "start", "duration"))
             if signals.log_index != log:
                 continue
-            duration = lasting / (1 - _EDGE)
-            since = signals.time - start + 0.5 * (duration - lasting)
-            window = np.clip(np.minimum(since, duration - since) / (_EDGE * duration), 0, 1)
+            rise, fall = (settings.get(f"{edge}_{number}", _EDGE) for edge in ("rise", "fall"))
+            window = _window(signals.time - start, lasting, rise, fall)
             inside = window > 0
             at = [settings.get(f"{axis}_{number}", 0.0) for axis in "xyz"]
             pushed = np.swapaxes(signals.pushed(int(link) - 1, inside, at), 1, 2)
@@ -124,10 +128,20 @@ def _settings(pushes: Sequence[PushedWindow], places: Sequence[np.ndarray | None
     entries: dict[str, float] = {}
     for number, push in enumerate(pushes, start=1):
         of_push = {"log": push.log, "link": push.link + 1, "start": push.start, "duration": push.duration}
+        if (push.rise, push.fall) != (_EDGE, _EDGE):
+            of_push |= {"rise": push.rise, "fall": push.fall}
         if places and (place := places[number - 1]) is not None:
             of_push |= dict(zip("xyz", place.tolist(), strict=True))
         entries |= {f"{key}_{number}": float(value) for key, value in of_push.items()}
     return entries
+
+
+def _window(since: np.ndarray, lasting: float | np.ndarray, rise: float, fall: float) -> np.ndarray:
+    """Share of a force at times since the middle of its rise; it lasts until the middle of its fall. `rise` and `fall`
+    are shares of the whole duration."""
+    duration = lasting / (1 - 0.5 * (rise + fall))
+    since = since + 0.5 * rise * duration
+    return np.clip(np.minimum(since / (rise * duration), (duration - since) / (fall * duration)), 0, 1)
 
 
 def _numbers(settings: Numbers) -> list[int]:
@@ -144,6 +158,8 @@ class PushedWindow:
     log: int
     start: float
     duration: float
+    rise: float = _EDGE
+    fall: float = _EDGE
 
     def meets(self, other: PushedWindow) -> bool:
         """Whether another push shares time with it."""
@@ -393,14 +409,56 @@ def _usual(push: PushedWindow, windows: Free) -> float:
     return np.inf
 
 
-def place_of(push: PushedWindow, motions: Sequence[tuple[MotionSignals, np.ndarray, np.ndarray]]) -> np.ndarray | None:
+#: Per motion its signals, and the error and noise level (S', n) of the rows that are kept.
+Motions = Sequence[tuple[MotionSignals, np.ndarray, np.ndarray]]
+
+
+def shaped(push: PushedWindow, motions: Motions) -> PushedWindow:
+    """A push with the rise and fall that gain most, and its ends moved to where they do; as it is, if nothing does.
+
+    Args:
+        push: with the usual edges.
+        motions: that it is one of the logs of.
+    """
+    time, columns, error = _around(push, motions)
+    squares = np.einsum("san,sbn->sab", columns, columns).reshape(len(time), 9)
+    pull = np.einsum("san,sn->sa", columns, error)
+    moved = push.duration * np.arange(-_END_STEPS, _END_STEPS + 1) / (2 * _END_STEPS + 1)
+    first, last = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
+    shapes = [(rise, fall) for rise in _EDGES for fall in _EDGES if rise + fall <= 1]
+    tried = [(push.start, push.duration, push.rise, push.fall)]
+    tried += [(a, b - a, *shape) for shape in shapes for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+    share = np.array([_window(time - start, *shape) for start, *shape in tried])
+    moments, sides = (share**2 @ squares).reshape(-1, 3, 3), share @ pull
+    gain = [float(side @ _solved(moment, side)) for moment, side in zip(moments, sides, strict=True)]
+    start, duration, rise, fall = tried[int(np.argmax(gain))]
+    return replace(push, start=start, duration=duration, rise=rise, fall=fall)
+
+
+def _around(push: PushedWindow, motions: Motions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time (K,) [s], columns (K, 3, n) of a force and error (K, n) over σ, from well before a push to well after."""
+    parts = []
+    for signals, residual, sigma in motions:
+        if signals.log_index != push.log:
+            continue
+        time = signals.time[signals.kept]
+        near = np.abs(time - push.start - 0.5 * push.duration) < 2 * push.duration
+        rows = np.zeros(len(signals.time), dtype=bool)
+        rows[signals.kept] = near
+        parts.append((time[near], -signals.pushed(push.link, rows) / sigma[near, None], (residual / sigma)[near]))
+    time, columns, error = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return time, columns, error
+
+
+def place_of(push: PushedWindow, motions: Motions) -> np.ndarray | None:
     """(3,) [m] from the far end of a push's link, in the link's frame; None where that would be off the link.
 
     The torque J(p)ᵀ F of a force F at a point p of the link is linear in F for fixed p, and in p for fixed F. So both
     are fitted in turns (alternating least squares), which never increases the error. The fit starts at the far end.
 
     Args:
-        motions: per motion its signals, and the error and noise level (S', n) of the rows that are kept.
+        push: whose point is searched.
+        motions: that it is one of the logs of.
     """
     moments, side, farthest = np.zeros((12, 12)), np.zeros(12), 0.0
     for signals, residual, sigma in motions:

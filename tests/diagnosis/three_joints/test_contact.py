@@ -59,7 +59,14 @@ def best(arm, model, logs):
     if not wanted:
         return None
     fits = [fit.with_chosen([form]) for form in fit.candidates(wanted)]
-    found = min(fits, key=lambda one: one.error(single=True))
+    rows = sum(residual.size for residual in fit.residuals_as_given)
+
+    def criterion(chosen):
+        """Of Schwarz: what it leaves, and what its numbers cost."""
+        (form,) = chosen.chosen
+        return chosen.error(single=True) + np.log(rows) * (CONTACT.counted(form.settings) + len(form.names))
+
+    found = min(fits, key=criterion)
     (form,), (values,) = found.chosen, found.values
     return CONTACT.reported(fit.reference, form.settings, dict(zip(form.names, values, strict=True)))
 
@@ -84,6 +91,19 @@ def are_found(found, expected, link=2, most=0.25):
         assert (start, end) == pytest.approx((begins, ends), abs=0.2)
         assert np.linalg.norm(force - FORCE) < most * np.linalg.norm(FORCE)
     return True
+
+
+@pytest.mark.parametrize("shape", ["as it rises", "as it falls"])
+def test_a_strong_push_is_named_whatever_its_shape(arm, model, free, shape):
+    """It explains all that it leaves: a force that jumps, then fades, is not one that is constant."""
+    log = pushed(arm, free[0], "link_3", [(2.0, 3.2)], 4.0)
+    over = np.clip((log.t - 2.0) / 1.2, 0.0, 1.0)
+    share = over if shape == "as it rises" else 1.0 - over
+    log = replace(log, effort=free[0].effort + share[:, None] * (log.effort - free[0].effort))
+    result = diagnose(arm, [log, free[1]], model).document
+    assert (result.verdict, [cause.effect for cause in result.causes]) == ("explained", ["contact"])
+    force = np.array([result.causes[0].parameters[f"force_{axis}"] for axis in "xyz"])
+    assert np.linalg.norm(force - 4.0 * FORCE) < 0.25 * np.linalg.norm(4.0 * FORCE)
 
 
 @pytest.mark.parametrize("times", [[(2.0, 2.6)], [(1.2, 2.0), (6.9, 7.5)], [(1.0, 7.0)], [(1.22, 2.78), (8.0, 9.56)]])
