@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from agent.core import Console, SafetyError
+from agent.core import Console
 from agent.link.record import record_program_file
 from agent.motion import JointTarget, LoopProgram, Move, MoveType, create_dialect, with_frames
 from agent.motion.urscript.settings import UrSettings
@@ -20,6 +20,7 @@ from agent.runs import lock
 from drivers.transports.ur.driver import UrDriver
 from drivers.transports.ur.link import UrLink
 from drivers.wire import ur_rtde as rtde
+from fake_controller.ur import ports
 from fake_controller.ur.fields import Cycles
 from fake_controller.ur.ports import DashboardConnection, ScriptConnection
 from fake_controller.ur.rtde import RtdeConnection
@@ -124,13 +125,23 @@ def replaced(monkeypatch, fake, moment):
         monkeypatch.setattr(UrDriver, "_see_program", first)
 
 
-@pytest.mark.parametrize("moment", ["permit", "wait"])
-def test_another_script_during_the_start_is_stopped_by_its_samples(program, monkeypatch, tmp_path, moment, capsys):
-    """And they are in a log, whose name is said; nobody says that nothing moved."""
+@pytest.mark.parametrize(
+    ("moment", "told", "said"),
+    [
+        ("wait", False, "moved before the program that was sent was allowed to"),
+        ("permit", True, "program other was started at the controller and replaced"),
+        ("permit", False, "not what was planned"),
+    ],
+)
+def test_another_script_during_the_start_is_stopped(program, monkeypatch, tmp_path, moment, told, said, capsys):
+    """Its samples are in a log, whose name is said; nobody says that nothing moved. The controller may tell of it."""
     monkeypatch.setattr(lock, "FOLDERS", (tmp_path,))
     with contextlib.closing(FakeUr("real")) as fake:
+        if not told:
+            tell = fake.cell._tell
+            monkeypatch.setattr(fake.cell, "_tell", lambda message: None if b"other" in message else tell(message))
         replaced(monkeypatch, fake, moment)
-        with pytest.raises(SafetyError, match="not what was planned") as stopped:
+        with pytest.raises(Exception, match=said) as stopped:
             record(fake, program)
         assert stopped.value.exit_code == 5
         assert "nothing moved" not in str(stopped.value)
@@ -230,7 +241,15 @@ def test_a_wrong_state_is_refused_before_motion(fake, program, monkeypatch, prep
         (lambda fake, _: lose(fake, ScriptConnection), "closed the primary interface.*sure that the arm rests", 4),
         (lambda fake, _: lose(fake, DashboardConnection), "dashboard at .* closed the connection", 4),
         (lambda fake, _: skip(fake), "of the last .* samples", 4),
-        (lambda fake, _: fake.cell.take_script(OTHER), "not what was planned", 5),
+        (lambda fake, _: fake.cell.take_script(OTHER), "program other was started at the controller", 5),
+        (
+            lambda fake, patch: (
+                patch.setitem(ports._ANSWERS, "stop", ((0,), "Stopped")),
+                fake.cell.take_script(OTHER),
+            ),
+            "program other was started at the controller",
+            5,
+        ),
     ],
 )
 def test_a_fault_in_motion_stops_the_arm_and_is_reported(fake, program, monkeypatch, happens, message, code):

@@ -188,7 +188,9 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             self._see_program(link, motion, program)
             with self._permitting:
                 if motion.stopping or motion.over:
-                    raise DriverError(f"{self.address}: the motion was stopped before the program was allowed to move")
+                    raise motion.foreign or DriverError(
+                        f"{self.address}: the motion was stopped before the program was allowed to move"
+                    )
                 motion.permitted = True
                 link.allow(program.number)
             self._see_permit_taken(link, motion, program)
@@ -211,6 +213,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         if motion is not None:
             motion.withheld = True
         link.beating = False
+        self._end_by_primary(link)  # the dashboard may confirm what it does not do, and another script has no watchdog
         if not self._rests(link, motion, self._start_timeout):
             raise self._still_moves()
 
@@ -240,12 +243,15 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             if self._dashboard is not None:
                 said = self._dashboard.ask("stop", _OBEYS)
         if said != "Stopped":
-            with contextlib.suppress(DriverError):
-                link.send_program("stop program\n")
+            self._end_by_primary(link)
         return said
 
+    def _end_by_primary(self, link: UrLink) -> None:
+        with contextlib.suppress(DriverError):
+            link.send_program("stop program\n")
+
     def _rests(self, link: UrLink, motion: UrMotion | None, timeout: float) -> bool:
-        if motion is not None:
+        if motion is not None and not motion.over:
             return motion.wait(timeout)
         return link.wait(lambda: link.failure is not None or not _plays(link.fresh()), timeout)
 
@@ -318,7 +324,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         if not link.wait(lambda: taken() or motion.stopping or motion.over, self._timeout) or not taken():
             link.check()
             motion.check()
-            raise DriverError(
+            raise motion.foreign or DriverError(
                 f"{self.address}: the program was let go and does not answer; it is being stopped ({motion.seen})"
             )
 
@@ -339,11 +345,13 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         if motion is None or link is None or not motion.begun or motion.over:
             return
         motion.samples(samples)
-        error = motion.too_full() or motion.slow
-        if error is not None:
+        if (error := motion.too_full() or motion.slow) is not None:
             motion.finish(error)
+        elif motion.foreign is not None and not motion.stopping:
+            motion.stopping = True
+            self._end_by_primary(link)
         # A program that was interrupted feels no heartbeat any more, so that nobody can resume the rest of it.
-        link.beating = not (motion.over or motion.unsafe or motion.withheld)
+        link.beating = not (motion.over or motion.unsafe or motion.withheld or motion.foreign is not None)
         link.guarded = not motion.over
         if motion.over and self._restoring:
             script, self._restoring = self._restoring, ""

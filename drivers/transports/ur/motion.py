@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from drivers.errors import DriverError
+from drivers.errors import DriverError, MotionStopped
 from drivers.protocol import SampleBlock
 from drivers.transports.base.samples import SampleStream
 from drivers.wire import ur_rtde as rtde
@@ -67,6 +67,7 @@ class UrMotion(SampleStream):
         self._second = (0, 0)  # number and count of samples when it began
         self._count = 0
         self.slow: DriverError | None = None  # that most samples are missing, once they are
+        self.foreign: DriverError | None = None  # that another program moves the arm, once one does
         self._cycle: int | None = None
         self._idle = 0
         self._verdict: tuple[EndReason, str] | None = None
@@ -74,6 +75,11 @@ class UrMotion(SampleStream):
     def message(self, message: ProgramChange | ProgramFault) -> None:
         """Take the controller's text about the program."""
         if isinstance(message, ProgramChange):
+            if self.loaded and message.started and not self.stopping:
+                self.foreign = self.foreign or MotionStopped(
+                    f"program {message.name} was started at the controller and replaced the one that was sent, so the "
+                    "arm was stopped: find out who sent it"
+                )
             self.loaded = self.loaded or (message.started and message.name == self._program)
         else:
             self._said = str(message)
@@ -92,6 +98,11 @@ class UrMotion(SampleStream):
         if len(samples) == 0:
             return
         self._verdict = self._verdict or _unsafe(samples[-1])  # the first one counts
+        if not (self.permitted or self.stopping) and np.abs(samples["target_qd"]).max() >= STILL:
+            self.foreign = self.foreign or MotionStopped(
+                "the arm moved before the program that was sent was allowed to, so it was stopped: find out which "
+                "program runs there"
+            )
         still = (samples["runtime_state"] != PLAYING) & np.all(np.abs(samples["target_qd"]) < STILL, axis=1)
         runs = np.arange(1, len(still) + 1) - np.maximum.accumulate(np.where(still, 0, np.arange(1, len(still) + 1)))
         runs = np.where(np.cumsum(~still) == 0, runs + self._idle, runs)
@@ -100,7 +111,9 @@ class UrMotion(SampleStream):
         last = int(settled[0]) + 1 if len(settled) else len(samples)
         self._idle = int(runs[last - 1])
         self._give(samples[:last], numbers[:last])
-        if len(settled):
+        if len(settled) and self.foreign is not None:
+            self.finish(self.foreign)
+        elif len(settled):
             reason, text = self._verdict or (EndReason.STOPPED if self.stopping else EndReason.DONE, "")
             if self.fault is not None and reason is EndReason.DONE:
                 reason = EndReason.PROGRAM_ERROR
