@@ -367,7 +367,31 @@ def test_reads_messages_in_json(tmp_path: Path, wrapped):
     assert log.metadata["command_hold"] == "held"
 
 
+@pytest.mark.parametrize(
+    "frame",
+    [
+        lambda q, r: {"joint_pos": q, "joint_pos_target": r, "joint_vel_target": [0.0] * 3},
+        lambda q, r: {"observation": {"qpos": q}, "action": {"qpos": r}},
+        lambda q, r: {
+            "state": {f"{name}.pos": value for name, value in zip("abc", q, strict=True)},
+            "action": {f"{name}.pos": value for name, value in zip("cba", r[::-1], strict=True)},
+        },
+    ],
+)
+def test_reads_states_and_commands_in_one_message_of_json(tmp_path: Path, frame):
+    def both(k: int) -> Any:
+        return frame(Q[k].tolist(), R[k].tolist())
+
+    path = write_json(tmp_path / "log.mcap", both, lambda k: {"image": "…"})
+    log = read_log(
+        path, ARM if "joint_pos" in both(0) or "observation" in both(0) else arm(["a.pos", "b.pos", "c.pos"])
+    )
+    np.testing.assert_allclose(log.position, Q)
+    np.testing.assert_allclose(log.reference_position, R)
+    assert log.metadata["command_hold"] == "held"
+
+
 def test_messages_in_json_without_positions_are_refused(tmp_path: Path):
     path = write_json(tmp_path / "log.mcap", lambda k: {"image": "…"}, lambda k: [1, 2, "x"])
-    with pytest.raises(InputError, match="no readable"):
+    with pytest.raises(InputError, match=r"400 messages of JSON on .* have no joint positions"):
         read_log(path, ARM)

@@ -420,6 +420,10 @@ class _Collector:
             )
             layout, times = NamedJoints(called), received[rows]
             topics[channel.topic].append(Messages(layout, order[rows], times, position, velocity, effort, times, times))
+            if "set_point" in decoded[0][1] and not channel.commands:
+                asked = np.array([values["set_point"] for _, values in decoded])
+                held = Messages(layout, order[rows], times, asked, None, None, times, times)
+                self.found.commands[channel.topic].append(held)
 
     def _next_layouts(self, message: bytes, channel: _Channel) -> list[JointStateLayout] | list[FormLayout] | None:
         if self._layout_count == _MAX_LAYOUTS:

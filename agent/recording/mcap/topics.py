@@ -177,6 +177,8 @@ def _no_joint_states(scanned: Scan, groups: _Topics) -> str:
         return f"the topic {STATES} is in it without a single message: was it published while this was recorded?"
     if scanned.unreadable:
         topic, count = max(scanned.unreadable.items(), key=lambda item: item[1])
+        if scanned.types[topic].endswith("(json)"):
+            return f"{count} messages of JSON on {topic} have no joint positions under a usual name, such as joint_pos"
         return (
             f"no readable {STATES} in it: {count} messages on {topic} are no {_STATES_TYPE}, or compressed in a way "
             "that is not known here; ros2 bag convert writes them plainly"
