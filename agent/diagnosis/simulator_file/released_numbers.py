@@ -372,7 +372,8 @@ def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candid
     """What a group closes of its own joints' error that all others leave; None where torque is judged."""
     if released.given.servos is None:
         return None
-    joints = range(len(released.given.fit.rows)) if group.joint < 0 else (group.joint,)
+    of_arm = group.joint < 0 or group.moves_links
+    joints = range(len(released.given.fit.rows)) if of_arm else (group.joint,)
     others = released_fit(released.given, [g for g in released.groups if g is not group]).with_chosen(causes)
     return gap.closure_on(joints, others.out_of_fold(others.transient))
 
@@ -410,8 +411,8 @@ def _causing(
     """The released groups that may be a cause: all where torque is judged.
 
     Not those of joints that err no more than a right file does without all of their own numbers, nor of `doubted` ones,
-    which have a remainder, nor a delay without which no joint errs more, nor links where the joint on which they close
-    most is doubted.
+    which have a remainder, nor a delay or links without which no joint errs more, nor links where the joint on which
+    they close most is doubted.
     """
     if released.given.servos is None:
         return list(released.groups)
@@ -422,8 +423,11 @@ def _causing(
         own = [group for group in released.groups if group.joint == joint and not group.moves_links]
         without = rms(gap.beyond(_without(released, own, causes))) if own else gap.after
         kept += own if beyond_usual(without, fit)[joint] else []
+    if links:
+        without = rms(gap.beyond(_without(released, links, causes)))
+        links = links if beyond_usual(without, fit).any() else []
     if links and doubted:
-        closed = rms(gap.beyond(_without(released, links, causes))) ** 2 - (gap.after * gap.unit) ** 2
+        closed = without**2 - (gap.after * gap.unit) ** 2
         links = links if int(np.argmax(closed / fit.sigma.min(axis=0) ** 2)) not in doubted else []
     return [group for group in released.groups if any(group is other for other in (*kept, *links))]
 
@@ -464,7 +468,8 @@ def causes_of_numbers(
         joint = () if group.joint < 0 else (names[group.joint],)
         if load := _load(found, group):
             like_links = (EffectPlace(called["links"], ()),)
-            causes.append(Cause(called["load"], (), closes(group), probability, load, like_links))
+            own_part = _on_joint(found, group, selected.causes, gap)
+            causes.append(Cause(called["load"], (), closes(group), probability, load, like_links, own_part))
         elif group.kind == "friction":
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
