@@ -180,7 +180,9 @@ class _Scene:
         self.joint_names = tuple(self.used[self.names[j]] for j in self.chosen)
         self.link_of = np.zeros(self.model.nbody, dtype=int)
         # no serial arm, or forces on the arm that are not supported
-        for reason in chain(self._branches(), self._floating_base(), self._equalities(), self._tendons()):
+        for reason in chain(
+            self._branches(), self._floating_base(), self._equalities(), self._tendons(), self._disabled()
+        ):
             raise InputError(f"{path}: {reason}")
 
     @property
@@ -261,6 +263,12 @@ class _Scene:
                     f"tendon {model.tendon(k).name or k!r} has stiffness, damping, friction or armature of its own on "
                     "the arm, which is not read: give them to joints, or delete the tendon"
                 )
+
+    def _disabled(self) -> Iterator[str]:
+        bits = self.mujoco.mjtDisableBit
+        for part in ("frictionloss", "limit", "actuation"):
+            if self.model.opt.disableflags & int(getattr(bits, f"mjDSBL_{part.upper()}")):
+                yield f"its flag {part} is disabled, so its numbers do not act: enable it, or delete these numbers too"
 
     def notes(self) -> Iterator[str]:
         """Notes on what was held or left out."""

@@ -119,6 +119,8 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
     if model.actuator_gaintype[a] != fixed or model.actuator_dyntype[a] != int(mujoco.mjtDyn.mjDYN_NONE):
         return f"the actuator of {name} has a gain or filter of its own"
     gain, (b0, b1, b2) = float(model.actuator_gainprm[a, 0]), model.actuator_biasprm[a, :3].tolist()
+    if model.opt.disableactuator >> int(model.actuator_group[a]) & 1:
+        return f"the actuator of {name} is disabled (actuatorgroupdisable)"
     if gain <= 0 or gear == 0:
         return f"the actuator of {name} has no gain or gear"
     control = np.array([-b0 / gain, -b1 * gear / gain])

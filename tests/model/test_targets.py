@@ -166,6 +166,15 @@ def test_what_a_file_does_not_say_is_not_made_up(tmp_path):
         assert (element.get("type"), float(limit.get("lower")), float(limit.get("upper"))) == (kind, -most, most)
 
 
+@pytest.mark.parametrize("flag", ["frictionloss", "limit", "actuation"])
+def test_numbers_that_a_flag_disables_are_refused(tmp_path, flag):
+    pytest.importorskip("mujoco")
+    option = f'integrator="implicitfast"><flag {flag}="disable"/></option>'
+    source = written(tmp_path, SERVO.replace('integrator="implicitfast"/>', option), "arm.xml")
+    with pytest.raises(InputError, match=f"its flag {flag} is disabled"):
+        numbers_of_file(source)
+
+
 def test_a_limit_that_differs_by_direction_is_said(tmp_path):
     pytest.importorskip("mujoco")
     source = written(tmp_path, SERVO.replace("-5 5", "-1 5").replace("</worldbody>", LOOSE), "arm.xml")
