@@ -210,13 +210,13 @@ def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tu
 def _closure_on_own(selected: SelectedCauses, gap: HeldOutGap, number: int, without: np.ndarray) -> float | None:
     """Part of the gap on a cause's joints that is lost if (S', n) [N·m] is left; None where a larger cause has some.
 
-    That of an effect of the whole arm is its main joint: most of the arm's gap may be the model's own error.
+    That of an effect of the whole arm is its main joint, as most of the arm's gap may be the model's own error; next to
+    a larger cause it has none.
     """
-    cause = selected.causes[number]
-    joints = cause.joints or (main_joint(selected.fit, gap, cause, without),)
-    if any(not set(joints).isdisjoint(larger.joints) for larger in selected.causes[:number]):
+    cause, larger = selected.causes[number], selected.causes[:number]
+    if (larger and not cause.joints) or any(not set(cause.joints).isdisjoint(other.joints) for other in larger):
         return None
-    return gap.closure_on(joints, without)
+    return gap.closure_on(cause.joints or (main_joint(selected.fit, gap, cause, without),), without)
 
 
 def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:

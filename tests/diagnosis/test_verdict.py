@@ -116,7 +116,7 @@ def test_a_cause_with_a_size_closes_a_tenth_with_finite_parameters(closure, of_j
 
 
 def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_reports():
-    """Of the whole gap, and of its own joints': that of the whole arm, of its main one."""
+    """Of the whole gap, and of its own joints': that of the whole arm, of its main one where it is the largest."""
 
     def reported(reference, settings, values):
         return {"of": reference, **settings, **values}
@@ -135,9 +135,12 @@ def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_rep
     equal = EffectPlace("payload", ()), EffectPlace("dress_pack", ("b", "c"))
     with patch.object(rules, "main_joint", lambda fit, gap, cause, left: 1 if cause is load else None):
         told = causes_of(dataset, selected, gap)  # type: ignore[arg-type]
+        alone = SimpleNamespace(**{**vars(fit), "values": fit.values[1:]})
+        first = SimpleNamespace(fit=alone, causes=(load,), rivals=rivals[1:], probability=(0.7,))
+        assert causes_of(dataset, first, gap)[0].closure_of_joints == ((1,), 1)  # type: ignore[arg-type,comparison-overlap]
     assert told == (
         Cause("stribeck", ("c", "a"), 1.5, 0.8, {"of": 7, "speed": 1.0, "rise": 3.0}, equal, ((2, 0), 1)),  # type: ignore[arg-type]
-        Cause("payload", (), 11.5, 0.7, {"of": 7, "mass": 4.0, "moment_x": 5.0}, (), ((1,), 11)),  # type: ignore[arg-type]
+        Cause("payload", (), 11.5, 0.7, {"of": 7, "mass": 4.0, "moment_x": 5.0}),
     )
 
 
