@@ -63,6 +63,7 @@ class Arm:
         self.offset = self._off = np.zeros(2)  # where it is asked to be, and where a joint of 5 rad/s is by now
         self.noise = lambda: 0.0
         self.believed, self.doubt = Believed(), "a joint jumps"
+        self.second_source = "does a second node publish joint_states?"
         self.states = deque()
         self.sent, self.brakes, self.cancels = [], [], 0
         self.deaf = self.answers_nothing = False
@@ -579,6 +580,41 @@ def test_numbers_follow_the_stamps():
     assert counter.number(stamps[-1]) is None
     assert counter.number(stamps[-1] + 5 * PERIOD) in (60_003, 60_004, 60_005)
     assert counter.time(10) - counter.time(9) == pytest.approx(PERIOD, rel=1e-3)
+
+
+def test_a_second_source_that_is_near_the_first_stops_the_arm():
+    """As a relay of the same joints, or a simulation of them: by no jump, but by twice as many samples."""
+    arm = Arm(False)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.0)
+    take = arm.motion.sample
+
+    def both(sample, now):
+        take(sample, now)
+        near = JointSample(sample.stamp + 0.6 * PERIOD, sample.position + 0.02, sample.velocity, sample.effort)
+        arm.believed.take(near, now)
+        take(near, now)
+
+    arm.motion.sample = both
+    arm.run(0.2)
+    assert arm.brakes, "it was not told to brake"
+    assert arm.brakes[0] <= BEGIN + 1.2
+    arm.motion.sample = take
+    arm.run(2.0, until_over=True)
+    with pytest.raises(MotionStopped, match="does a second node publish"):
+        list(arm.motion.blocks())
+
+
+@pytest.mark.parametrize("rate", [0.75, 1.0, 1.3])
+def test_one_source_is_no_second_one(rate):
+    """Whatever its true rate, with jitter, samples that come twice, and pairs that come in the other order."""
+    rng, counter = np.random.default_rng(0), Counter(PERIOD)
+    stamps = BEGIN + (np.arange(20_000) + rng.uniform(-0.3, 0.3, 20_000)) * PERIOD / rate
+    for k in range(0, 20_000, 50):
+        stamps[[k, k + 1]] = stamps[[k + 1, k]]
+    for stamp in np.repeat(stamps, 2):
+        counter.number(stamp)
+        assert not counter.crowded
 
 
 def test_speed_without_a_velocity_comes_from_positions():

@@ -16,6 +16,9 @@ _REFIT = 0.01
 #: What a joint moves at most between two of its samples [rad/s, m/s], and what rounding and late stamps add [rad, m].
 _FASTEST, _ROUNDING = 10.0, 0.03
 _PAUSE = 1.0  # s, after which an arm may be anywhere
+#: Samples between those of one source that show a second one; two of three of its own excuse one, as of a clock that is
+#: a third too slow.
+_CROWD = 20
 
 
 class Course:
@@ -100,11 +103,18 @@ class Counter:
         self.period = period
         self.first: float | None = None  # stamp [s] of number 0
         self._origin = 0.0
-        self._last = -1
+        self._last, self._stamp = -1, -np.inf
+        self._between = 0.0
         self.jitter = 0.0  # s, the largest
+
+    @property
+    def crowded(self) -> bool:
+        """Whether about twice as many samples come as one source makes; the same one twice does not count."""
+        return self._between > _CROWD
 
     def number(self, stamp: float) -> int | None:
         """Of the sample with this stamp; None where it has come already, or is older than one that has."""
+        again, self._stamp = stamp == self._stamp, stamp
         if self.first is None:
             self.first = self._origin = stamp
         exact = (stamp - self._origin) / self.period
@@ -112,7 +122,9 @@ class Counter:
         if number == self._last and exact > self._last + 0.25:  # late, and the one before was later
             number += 1
         if number <= self._last:
+            self._between += not again
             return None
+        self._between = max(0.0, self._between - 0.5)
         off = stamp - (self._origin + number * self.period)
         self._origin += _REFIT * off
         self.jitter = max(self.jitter, abs(off))

@@ -100,9 +100,15 @@ class RosLink(LinkThread):
         if not math.isfinite(jump):
             return f"{topic} has positions that are no numbers; look at the robot's driver"
         return (
-            f"a joint jumps by {jump:.3g} rad from one sample of {topic} to the next: does a second node publish it "
-            f"(see `ros2 topic info -v {topic}`), or does it wrap at ±π?"
+            f"a joint jumps by {jump:.3g} rad from one sample to the next: {self.second_source[:-1]}, or does it wrap "
+            "at ±π?"
         )
+
+    @property
+    def second_source(self) -> str:
+        """The question whether there is another one of the samples."""
+        topic = self.target.name(JOINT_STATES)
+        return f"does a second node publish {topic} (see `ros2 topic info -v {topic}`)?"
 
     # Of the controller, in the caller's thread
 

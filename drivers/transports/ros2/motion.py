@@ -181,6 +181,9 @@ class Ros2Motion(SampleStream):
             self._recent.clear()
             self.brake(DriverError(f"the clock of {JOINT_STATES} was set by {step:.3g} s, so the arm was stopped"))
         number = self.counter.number(sample.stamp)
+        if self.counter.crowded:
+            self._doubtful = True
+            self.brake(MotionStopped(f"twice as many samples come as before: {self._link.second_source}"))
         if number is not None:
             self._keep(number, sample)
         elif self._braked is None:
@@ -224,6 +227,8 @@ class Ros2Motion(SampleStream):
                 self._cancel_at = min(self._cancel_at, now + seconds + CANCEL_AFTER)
             if now >= self._cancel_at:
                 self._cancel()
+                if self.counter.crowded:  # no samples will show that it rests
+                    self._come_to_rest()
 
     def _watch(self, sample: JointSample, now: float) -> None:
         self._recent.append((sample.stamp, sample.position))
