@@ -37,7 +37,7 @@ class UrConnection:
         self._socket = connection
         if not self.hurried:  # whoever stops the arm must not be far behind it
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _NEAR)
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._unsent, self._stuck_since = b"", 0.0
         self.closed = threading.Event()
 
@@ -118,9 +118,11 @@ class ScriptConnection(UrConnection):
         self._text = ""
 
     def greet(self) -> None:
-        if not self._realtime:
-            self.say(version_message(self.cell))
-        self.cell.listeners.append(self)
+        version = version_message(self.cell)
+        with self._lock:  # who has read the version misses nothing, and nothing comes before it
+            self.cell.listeners.append(self)
+            if not self._realtime:
+                self.say(version)
         self.cell.when_local.append(self.close)
 
     def leave(self) -> None:

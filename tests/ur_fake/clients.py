@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -101,12 +102,14 @@ class Primary(Wire):
         return kind, self.take(size - 5)
 
     def message(self):
-        """The next message that is no state: its type and content."""
-        while True:
+        """The next message that is no state: its type and content. States come for ever, so they are no sign of it."""
+        until = time.monotonic() + 3 * PATIENCE
+        while time.monotonic() < until:
             kind, data = self.receive()
             if kind == 20:
                 assert data[8:9] == b"\xfe"
                 return data[9], data[10:]
+        raise TimeoutError("no message came")
 
     def state(self):
         """The sub-packages of the next state by type."""

@@ -1,12 +1,14 @@
 """Dashboard, script ports and what they send."""
 
 import struct
+from threading import Thread
 
 import numpy as np
 import pytest
 
 from fake_controller.faults import Fault
 from fake_controller.ur.messages import key_message, text_message
+from fake_controller.ur.ports import ScriptConnection
 from tests.ur_fake.clients import Dashboard, Primary, Wire, clients, program, texts, three, turn, warnings
 from tests.ur_fake.conftest import CB3
 
@@ -132,6 +134,22 @@ def test_three_ports_accept_scripts(ur, port):
             with clients(Wire(ur, port)) as client:  # anew: who reads nothing is dropped after a while
                 client.send(script)
                 assert texts(primary.ended()) == [said]
+
+
+def test_who_has_read_the_version_misses_nothing(start_ur, monkeypatch):
+    """As where the thread that greets a client is held up right after it."""
+    say, message = ScriptConnection.say, text_message(0.0, "said at once")
+
+    def held_up(self, data, waits=False):
+        say(self, data, waits)
+        if b"URControl" in data:
+            told = Thread(target=lambda: [listener.on_message(message) for listener in list(self.cell.listeners)])
+            told.start()
+            told.join(0.1)
+
+    monkeypatch.setattr(ScriptConnection, "say", held_up)
+    with clients(Primary(start_ur().address)) as primary:
+        assert texts([primary.message()]) == ["said at once"]
 
 
 def test_a_program_replaces_the_one_that_runs(ur):
