@@ -1,7 +1,7 @@
 """Dashboard, script ports and what they send."""
 
 import struct
-from threading import Thread
+from threading import Event, Thread
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ import pytest
 from fake_controller.faults import Fault
 from fake_controller.ur.messages import key_message, text_message
 from fake_controller.ur.ports import ScriptConnection
-from tests.ur_fake.clients import Dashboard, Primary, Wire, clients, program, texts, three, turn, warnings
+from tests.ur_fake.clients import PATIENCE, Dashboard, Primary, Wire, clients, program, texts, three, turn, warnings
 from tests.ur_fake.conftest import CB3
 
 REFUSED = (
@@ -88,14 +88,17 @@ def test_a_cb3_has_no_remote_mode(start_ur):
             assert client.ask(command).startswith("Could not understand")
 
 
-def test_local_mode_refuses_and_a_reconnection_is_needed(start_ur):
-    ur = start_ur()
+def test_local_mode_refuses_and_a_reconnection_is_needed(start_ur, monkeypatch):
+    ur, taken = start_ur(), Event()
+    take_script = ur.cell.take_script
+    monkeypatch.setattr(ur.cell, "take_script", lambda script: (take_script(script), taken.set()))
     with clients(Dashboard(ur.address), Primary(ur.address)) as (old, remote):
         ur.cell.state.mode = "teach"
         assert old.ask("is in remote control") == "false"
         for command in ("play", "stop", "power off", "unlock protective stop"):
             assert old.ask(command) == REFUSED
         remote.send(program('textmsg("silent")').encode())  # ignored
+        assert taken.wait(PATIENCE)
         with clients(Primary(ur.address)) as local:
             local.send(program('textmsg("silent")').encode())
             assert warnings([local.message()])[0][0] == 210
