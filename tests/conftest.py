@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import importlib.util
 import itertools
 import json
@@ -40,6 +41,9 @@ settings.register_profile(
 )
 settings.load_profile("same")
 
+# No garbage is looked for while everything is imported and collected, nor in that later: it stays.
+gc.disable()
+
 # Hundreds of processes are started here: what they compile is kept, wherever the environment forbids it or not.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
@@ -61,6 +65,12 @@ SHARED = ROOT / "../shared/data"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest come first: all commands of the documentation, and whole blind checks. What comes last is short."""
     items.sort(key=lambda item: not re.search("test_documentation|blind_check/test_process", item.nodeid))
+
+
+def pytest_collection_finish() -> None:
+    """The search for garbage among what was collected would take a tenth of the time of some tests."""
+    gc.freeze()
+    gc.enable()
 
 
 def loaded(path: Path) -> ModuleType:
