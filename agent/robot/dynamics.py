@@ -145,8 +145,7 @@ class Dynamics:
 
     def mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """(n, n) of the rigid bodies at one q (n,), without rotors."""
-        upper = pin.crba(self._model, self._data, q)
-        return np.triu(upper) + np.triu(upper, 1).T
+        return pin.crba(self._model, self._data, q).copy()
 
     def acceleration_function(self, axle_inertia: np.ndarray) -> Callable[..., np.ndarray]:
         """A function (q, q̇, joint torque, added=None) → q̈, all (n,), for stepping many times; it owns its own data.
