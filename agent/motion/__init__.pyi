@@ -2,7 +2,7 @@ from .dialect import Dialect as Dialect
 from .fly.fly_parameters import FlyParameters as FlyParameters
 from .fly.interpolator import FlyInterpolator as FlyInterpolator
 from .interpolator import Interpolator as Interpolator, MotionError as MotionError, Trajectory as Trajectory
-from .joint_trajectory.settings import parted as parted
+from .joint_trajectory.interpolator import parted as parted
 from .learned_law import (
     LearnedLaw as LearnedLaw,
     is_file_name as is_file_name,

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.core import InputError
-from agent.motion.joint_trajectory.program import TrajectoryProgram, TrajectoryWriter, goals_of, read_program
-from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
+from agent.motion.joint_trajectory.interpolator import BLENDS
+from agent.motion.joint_trajectory.program import TrajectoryProgram, goals_of, read_program, written
+from agent.motion.path_settings import PathSettings
 from agent.motion.program import LoopProgram, Statement
 
 if TYPE_CHECKING:
@@ -31,25 +32,15 @@ class JointTrajectoryDialect:
 
     def write(self, name: str, statements: Sequence[Statement], robot: RobotDescription | None = None) -> str:
         """A program that makes these moves and delays once, from a joint move on."""
-        writer = TrajectoryWriter(name, robot)
-        writer.add(statements)
-        return writer.text()
+        return written(name, robot, (statements, 1))
 
     def write_loop(self, name: str, loop: LoopProgram, robot: RobotDescription | None = None) -> str:
         """A move to the start, then one goal for the cycle, sent as often as it is run."""
-        writer = TrajectoryWriter(name, robot)
-        writer.add([loop.approach])
-        writer.add(loop.moves, loop.cycles)
-        return writer.text()
+        return written(name, robot, ([loop.approach], 1), (loop.moves, loop.cycles))
 
     def settings(self, fly: Mapping[str, Any], speed: float, robot: RobotDescription) -> PathSettings:
         """Blends that keep within the recipe's distance of their via-points."""
-        return PathSettings(
-            fly_distance=fly["distance"],
-            linear_speed=speed,
-            fly_type=FlyType.FLY_CART,
-            fly_trajectory=FlyTrajectory.FLY_TOL,
-        )
+        return PathSettings(fly_distance=fly["distance"], linear_speed=speed).changed(**BLENDS)
 
     def job(
         self, text: str, path: str = "", robot: RobotDescription | None = None, companion: str = ""

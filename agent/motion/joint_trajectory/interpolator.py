@@ -8,19 +8,23 @@ of every joint: the controller checks none.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from agent.motion.fly.interpolator import FlyInterpolator
 from agent.motion.interpolator import BindingLimit, LazyTrajectory, MotionError, Trajectory
-from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings, parted
+from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings
 from agent.motion.path_settings import FlyTrajectory, FlyType, PathSettings
-from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement
+from agent.motion.program import Delay, JointTarget, MotionSettings, Move, MoveType, Statement
 from agent.robot import Dynamics, RobotDescription, Tool
-from drivers.joint_trajectory import LONGEST, JointSpline, rest_to_rest
+from drivers.errors import RefusedError
+from drivers.joint_trajectory import LONGEST, JointSpline, parts, rest_to_rest
 
 #: Points of a trajectory a second.
 POINTS = 20
+#: Blends that keep within their distance of a via-point.
+BLENDS = {"fly_type": FlyType.FLY_CART, "fly_trajectory": FlyTrajectory.FLY_TOL}
 _PERIOD = 0.005  # s, of the plan that points are taken from
 _ROUNDING = 1e-6  # of limits: points in a text have nine decimals
 
@@ -43,25 +47,21 @@ class JointTrajectoryLaw:
             MotionError: out of reach, beyond a limit of a joint, or too long without a stop.
         """
         q = np.asarray(start, dtype=float)
-        rows = [np.zeros((3, 1, len(q)))]
-        rows[0][0] = q
+        rows = [_standing(q, 1)]
         moves, binding, began = [np.zeros(1, dtype=int)], [], 0.0
         pending: list[Move] = []
         for number, statement in enumerate(statements):
             if isinstance(statement, Delay):
-                resting = np.zeros((3, max(0, round(statement.seconds / self.period)), len(q)))
-                resting[0] = q
-                rows.append(resting)
-                moves.append(np.full(resting.shape[1], number))
+                rows.append(_standing(q, max(0, round(statement.seconds / self.period))))
+                moves.append(np.full(rows[-1].shape[1], number))
             else:
                 pending.append(statement)
             if pending and not (pending[-1].fly and number + 1 < len(statements)):
                 first = number + 1 - len(pending)
                 for part in parted(pending, q):
                     spline, move_at, limits = self.spline(part, q, first)
-                    t = np.minimum(
-                        self.period * np.arange(1, np.ceil(spline.duration / self.period - 1e-6) + 1), spline.t[-1]
-                    )
+                    count = np.ceil(spline.duration / self.period - 1e-6)
+                    t = np.minimum(self.period * np.arange(1, count + 1), spline.duration)
                     rows.append(np.array(spline.at(t)))
                     moves.append(first + move_at(t))
                     binding.append((began, limits))
@@ -93,8 +93,8 @@ class JointTrajectoryLaw:
             spline = _of_points(moves, start)
             self._check(spline, first)
             return spline, lambda t: np.searchsorted(spline.t[1:-1], t, side="left"), tuple
-        if len(moves) == 1 and moves[0].type is MoveType.JOINT and isinstance(moves[0].target, JointTarget):
-            spline = rest_to_rest(start, moves[0].target.position, *self.pace(moves[0]))
+        if (end := joint_move_to(moves)) is not None:
+            spline = rest_to_rest(start, end, *self.pace(moves[0]))
             self._check(spline, first)
             return spline, lambda t: np.zeros(len(t), dtype=int), tuple
         plan = self._fly.plan([_with_path(move) for move in moves], start)
@@ -110,10 +110,8 @@ class JointTrajectoryLaw:
 
     def pace(self, move: Move) -> tuple[np.ndarray, np.ndarray]:
         """Limits (n,) of velocity and acceleration of a joint move."""
-        settings, part = move.settings, move.settings.speed_override
-        if isinstance(settings, PaceSettings):
-            return part * np.array(settings.velocity), part * np.array(settings.acceleration)
-        return part * self.robot.max_velocity, part * self.robot.max_acceleration
+        part = move.settings.speed_override
+        return _pace(move.settings) or (part * self.robot.max_velocity, part * self.robot.max_acceleration)
 
     def _slower(self, spline: JointSpline) -> float:
         """The factor of time with which the spline keeps the joints' limits."""
@@ -149,6 +147,42 @@ class JointTrajectoryLaw:
             raise MotionError(text, first, "duration", spline.duration / LONGEST - 1.0)
 
 
+def _standing(q: np.ndarray, count: int) -> np.ndarray:
+    """Position, velocity and acceleration (3, count, n) of an arm that stands at q (n,)."""
+    return np.repeat([[q], [0.0 * q], [0.0 * q]], count, axis=1)
+
+
+def joint_move_to(moves: Sequence[Move]) -> np.ndarray | None:
+    """Where (n,) moves from stop to stop end that are a joint move, which knows no time; None of others."""
+    move, target = moves[0], moves[0].target
+    alone = len(moves) == 1 and move.type is MoveType.JOINT and not isinstance(move.settings, PointSettings)
+    return target.position if alone and isinstance(target, JointTarget) else None
+
+
+def _pace(settings: MotionSettings) -> tuple[np.ndarray, np.ndarray] | None:
+    if not isinstance(settings, PaceSettings):
+        return None
+    return settings.speed_override * np.array(settings.velocity), settings.speed_override * np.array(
+        settings.acceleration
+    )
+
+
+def parted(moves: Sequence[Move], start: np.ndarray) -> list[Sequence[Move]]:
+    """Moves from stop to stop, from rest at `start` (n,), cut where a controller is given another goal on the way.
+
+    Raises:
+        MotionError: a move would take too many.
+    """
+    end, pace = joint_move_to(moves), _pace(moves[0].settings)
+    if end is None or pace is None:
+        return [moves]
+    try:
+        ends = parts(start, end, *pace)
+    except RefusedError as error:
+        raise MotionError(f"line {moves[0].line}: {error}", 0, "duration", 1.0) from None
+    return [[replace(moves[0], target=JointTarget(each))] for each in ends]
+
+
 def _of_points(moves: Sequence[Move], start: np.ndarray) -> JointSpline:
     seconds, rows = [0.0], [np.array([start, np.zeros_like(start), np.zeros_like(start)])]
     for move in moves:
@@ -166,7 +200,6 @@ def _of_points(moves: Sequence[Move], start: np.ndarray) -> JointSpline:
 
 def _with_path(move: Move) -> Move:
     """The move with a blend that keeps within its distance."""
-    settings = PathSettings.of(move.settings)
-    if not isinstance(move.settings, PathSettings):
-        settings = settings.changed(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL)
-    return Move(move.type, move.target, settings, move.fly, move.via, move.name, move.line)
+    if isinstance(move.settings, PathSettings):
+        return move
+    return replace(move, settings=PathSettings.of(move.settings).changed(**BLENDS))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agent.core import InputError
-from agent.motion.joint_trajectory.interpolator import JointTrajectoryLaw
+from agent.motion.joint_trajectory.interpolator import JointTrajectoryLaw, joint_move_to
 from agent.motion.joint_trajectory.settings import PaceSettings, PointSettings
 from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement, stop_to_stop
 from drivers.errors import RefusedError
-from drivers.joint_trajectory import LEAD, GoalProgram, JointSpline, Step
+from drivers.joint_trajectory import LEAD, RATES, GoalProgram, JointSpline, Step
 
 if TYPE_CHECKING:
     from agent.robot import RobotDescription
@@ -27,93 +27,64 @@ _DECIMALS = 9
 _CLOSED = 1e-6  # rad, m: a loop that ends so near to its start ends there
 
 
-class TrajectoryError(InputError):
-    """A text that is no program of joint trajectories; names path and line."""
-
-
-@dataclass(frozen=True, eq=False)
 class TrajectoryProgram:
-    """A program that was read: `lines` of statements, and how often each is run."""
+    """A program that was read."""
 
-    name: str
-    lines: tuple[tuple[int, tuple[Statement, ...]], ...]
+    def __init__(self, goals: GoalProgram) -> None:
+        self.name, self._goals = goals.name, goals
 
     def run(self) -> Iterator[Statement]:
         """Its moves and delays in order."""
-        for cycles, statements in self.lines:
-            for _ in range(cycles):
-                yield from statements
+        once = functools.cache(lambda step: tuple(_statements(step)))
+        for step in self._goals.run():
+            yield from once(step)
 
 
-class TrajectoryWriter:
-    """Plans what is added from where the last of it ended, and writes its points.
+def written(name: str, robot: RobotDescription | None, *parts: tuple[Sequence[Statement], int]) -> str:
+    """A program of statements, and how often their goals are run; those of more than one cycle end where they begin.
 
     Raises:
-        InputError: no robot to plan for.
+        InputError: no robot to plan for, the first of all is no joint move, or what `JointTrajectoryLaw.plan` refuses.
     """
-
-    def __init__(self, name: str, robot: RobotDescription | None) -> None:
-        if robot is None:
-            raise InputError(f"program {name}: joint trajectories are planned for one robot; name it")
-        self._name, self._robot = name, robot
-        self._law = JointTrajectoryLaw(robot)
-        self._q: np.ndarray | None = None
-        self._lines: list[dict[str, Any]] = [{"program": name, "joint_names": list(robot.joint_names)}]
-
-    def add(self, statements: Sequence[Statement], cycles: int = 1) -> None:
-        """Append statements; those of more than one cycle end where they begin.
-
-        Raises:
-            InputError: the first of all is no joint move, or what `JointTrajectoryLaw.plan` refuses.
-        """
+    if robot is None:
+        raise InputError(f"program {name}: joint trajectories are planned for one robot; name it")
+    law, at = JointTrajectoryLaw(robot), None
+    lines: list[dict[str, Any]] = [{"program": name, "joint_names": list(robot.joint_names)}]
+    for statements, cycles in parts:
         number = 0
         while number < len(statements):
-            statement = statements[number]
-            if isinstance(statement, Delay):
-                self._lines.append({"rest": statement.seconds})
+            if isinstance(statement := statements[number], Delay):
+                lines.append({"rest": statement.seconds})
                 number += 1
                 continue
             moves = next(stop_to_stop(statements[number:]))
-            self._move(moves, number, cycles)
+            line, at = _line_of(name, law, moves, at, number)
+            lines += [{"cycles": cycles, **line} if "goal" in line else line] if line else []
             number += len(moves)
+    text = "".join(f"{json.dumps(line, ensure_ascii=False)}\n" for line in lines)
+    read_program(text, "the program to be written", robot)
+    return text
 
-    def text(self) -> str:
-        """The program, which was read back."""
-        text = "".join(f"{json.dumps(line, ensure_ascii=False)}\n" for line in self._lines)
-        read_program(text, "the program to be written", self._robot)
-        return text
 
-    def _move(self, moves: Sequence[Move], number: int, cycles: int) -> None:
-        move, target = moves[0], moves[0].target
-        timed = isinstance(move.settings, PointSettings)
-        if len(moves) == 1 and move.type is MoveType.JOINT and isinstance(target, JointTarget) and not timed:
-            velocity, acceleration = self._law.pace(move)
-            self._q = target.position
-            self._lines.append(
-                {"to": _rounded(self._q), "velocity": _rounded(velocity), "acceleration": _rounded(acceleration)}
-            )
-            return
-        if self._q is None:
-            raise InputError(f"program {self._name}: a joint move to where the arm begins has to come first")
-        spline, *_ = self._law.spline(moves, self._q, number)
-        if not np.ptp(spline.q, axis=0).any():
-            return
-        if np.abs(spline.q[-1] - spline.q[0]).max() < _CLOSED:
-            spline.q[-1] = spline.q[0]
-        self._q = spline.q[-1]
-        self._lines.append({"cycles": cycles, "goal": _goal(self._robot.joint_names, spline)})
+def _line_of(
+    name: str, law: JointTrajectoryLaw, moves: Sequence[Move], at: np.ndarray | None, number: int
+) -> tuple[dict[str, Any], np.ndarray]:
+    """The line of moves from stop to stop, from `at` (n,) on, empty where they go nowhere; and where they end."""
+    if (end := joint_move_to(moves)) is not None:
+        rows = map(_rounded, (end, *law.pace(moves[0])))
+        return dict(zip(("to", "velocity", "acceleration"), rows, strict=True)), end
+    if at is None:
+        raise InputError(f"program {name}: a joint move to where the arm begins has to come first")
+    spline, *_ = law.spline(moves, at, number)
+    if np.abs(spline.q[-1] - spline.q[0]).max() < _CLOSED:
+        spline.q[-1] = spline.q[0]
+    moved = np.ptp(spline.q, axis=0).any()
+    return {"goal": _goal(law.robot.joint_names, spline)} if moved else {}, spline.q[-1]
 
 
 def _goal(names: Sequence[str], spline: JointSpline) -> dict[str, Any]:
-    points = [
-        {
-            "positions": _rounded(q),
-            "velocities": _rounded(qd),
-            "accelerations": _rounded(qdd),
-            "time_from_start": _time(t),
-        }
-        for t, q, qd, qdd in zip(spline.t + LEAD, spline.q, spline.qd, spline.qdd, strict=True)
-    ]
+    rows = zip(spline.t + LEAD, spline.q, spline.qd, spline.qdd, strict=True)
+    points = [{**dict(zip(RATES, map(_rounded, row), strict=True)), "time_from_start": _time(t)} for t, *row in rows]
     return {
         "trajectory": {"joint_names": list(names), "points": points},
         "path_tolerance": [{"name": name, "position": PATH_TOLERANCE} for name in names],
@@ -141,16 +112,16 @@ def read_program(text: str, path: str = "", robot: RobotDescription | None = Non
     """Read and check a program.
 
     Raises:
-        TrajectoryError: not one, or not for this robot; names path and line.
+        InputError: not one, or not for this robot; names path and line.
     """
     try:
         program = GoalProgram.of(text, path)
     except RefusedError as error:
-        raise TrajectoryError(str(error)) from None
+        raise InputError(str(error)) from None
     if robot is not None and program.joints != tuple(robot.joint_names):
         ours, theirs = ", ".join(robot.joint_names), ", ".join(program.joints)
-        raise TrajectoryError(f"{path}:1: it is for {theirs}; {robot.name} has {ours}")
-    return TrajectoryProgram(program.name, tuple((step.cycles, tuple(_statements(step))) for step in program.steps))
+        raise InputError(f"{path}:1: it is for {theirs}; {robot.name} has {ours}")
+    return TrajectoryProgram(program)
 
 
 def _statements(step: Step) -> Iterator[Statement]:
