@@ -57,9 +57,9 @@ class Braking:
         self._still_since: float | None = None
         #: Speed of the fastest joint, as a part of its limit; None if unknown.
         self.speed: float | None = None
-        #: The same when the stop was asked for, and the least since then.
+        #: The same when the stop was asked for, the least since then, the most, and the least since that.
         self.before: float | None = None
-        self._least = np.inf
+        self._least, self._most, self._least_since_most = np.inf, 0.0, np.inf
 
     def take(self, times: np.ndarray, positions: np.ndarray) -> None:
         """Measured positions (K, n) at times (K,) [s] of one clock."""
@@ -74,7 +74,8 @@ class Braking:
             way = np.ptp(self._positions, axis=0)
             self.speed = float(np.max(way / self._limit)) / passed
             if self.before is not None:
-                self._least = min(self._least, self.speed)
+                self._least, self._most = min(self._least, self.speed), max(self._most, self.speed)
+                self._least_since_most = min(self._least_since_most, self.speed) if self.speed < self._most else np.inf
             if not self.speed <= STILL:
                 self._still_since = None
             elif self._still_since is None:
@@ -101,6 +102,13 @@ class Braking:
         if self.speed is None or self.before is None:
             return False
         return self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)
+
+    @property
+    def brakes_late(self) -> bool:
+        """Whether it is clearly slower than it was seen after that: one that is seen late slows down later."""
+        if self.speed is None:
+            return False
+        return self.speed < min(BRAKING * self._most, self._least_since_most + self._regained * self._most)
 
 
 class Stopping:
@@ -239,12 +247,16 @@ class Stopping:
                 "controller has a watchdog. Go and look"
             )
             return
+        closed = "The stop was sent again and the link closed, which stops an arm whose controller has a watchdog"
+        still = f"{when} it still moves, at {100 * speed:.0f} % of a joint's limit"
+        if self._braking.brakes_late and not self._braking.brakes:
+            self._give_up(
+                f"{still}, but slows down: what is seen of the arm may be late. {closed}. Go and look at it, and press "
+                "the emergency stop if it moves"
+            )
+            return
         self.disobeyed = True
-        self._give_up(
-            f"the arm does not obey: {when} it still moves, at {100 * speed:.0f} % of a joint's limit. The stop "
-            "was sent again and the link closed, which stops an arm whose controller has a watchdog. PRESS THE "
-            "EMERGENCY STOP NOW"
-        )
+        self._give_up(f"the arm does not obey: {still}. {closed}. PRESS THE EMERGENCY STOP NOW")
 
     def _give_up(self, seen: str) -> None:
         self.seen = seen

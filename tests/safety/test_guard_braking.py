@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +37,7 @@ class Arm:
         self.stops, self.closed = 0, threading.Event()
         self.brakes, self.speed, self.answers = brakes, speed, answers
         self.corner = None  # s between two corners of its path
+        self._ways: deque[np.ndarray] = deque()  # positions that are seen later than their stamps say
         self.state = lambda: None
         self._asked = threading.Event()
         self._position, self._stopped_at, self._sequence = 0.0, None, 0
@@ -69,6 +71,10 @@ class Arm:
             self.run(0.02, seen)
             self.stopping._look.exception()
 
+    def delay(self, seconds: float) -> None:
+        """Its positions stand still for so long, and are so late from then on."""
+        self._ways.extend([np.full(10, self._position)] * round(seconds / 0.02))
+
     def run(self, seconds: float, seen: bool = True) -> None:
         """Let time pass, with a block of samples each 20 ms where they are `seen`, and turns of the watch."""
         for _ in range(round(seconds / 0.02)):
@@ -81,8 +87,9 @@ class Arm:
             way = self._position + np.cumsum(PERIOD * self.speed * (1 - part))
             self._time, self._position = float(times[-1]), float(way[-1])
             self.clock.now += 0.02
+            self._ways.append(way)
             if seen:
-                positions = np.outer(way, np.eye(6)[1] * ROBOT.max_velocity[1])
+                positions = np.outer(self._ways.popleft(), np.eye(6)[1] * ROBOT.max_velocity[1])
                 nothing = np.zeros_like(positions)
                 numbers = self._sequence + np.arange(10)
                 self.stopping.take(SampleBlock(numbers, times, positions, None, nothing, None, None))
@@ -182,6 +189,31 @@ def test_slowing_for_a_corner_is_not_braking():
     arm.run(0.24)
     assert arm.closed.wait(10.0)
     assert (arm.stops, arm.stopping.disobeyed) == (2, True)
+
+
+@pytest.mark.parametrize(("brakes", "late"), [(0.3, 0.3), (0.3, 0.4), (0.6, 0.3)])
+def test_an_arm_that_brakes_and_is_seen_late_is_not_said_to_disobey(brakes, late):
+    """As its positions stood still for a moment, it seemed to rest when it was told to stop."""
+    arm = Arm(brakes)
+    arm.run(1.0)
+    arm.delay(late)
+    arm.run(late)
+    assert arm.stopping._sampled.speed == pytest.approx(0.0, abs=1e-9)
+    arm.request()
+    arm.run(LET_GO + 0.1)
+    assert arm.closed.wait(10.0), "whatever it is, it is stopped by every means"
+    assert (arm.stops, arm.stopping.disobeyed) == (2, False)
+    assert "slows down: what is seen of the arm may be late" in arm.warned[0]
+
+
+def test_an_arm_that_is_seen_late_and_goes_on_is_said_to_disobey():
+    arm = Arm(None)
+    arm.run(1.0)
+    arm.delay(0.3)
+    arm.run(0.3)
+    arm.request()
+    arm.run(LET_GO + 0.1)
+    assert arm.stopping.disobeyed
 
 
 def test_closes_the_link_of_an_arm_that_never_comes_to_rest():
