@@ -35,6 +35,12 @@ class MotionStopped(DriverError):
     exit_code = 5
 
 
+class LinkStopped(MotionStopped):
+    """The driver stopped the arm while it moved, as what it hears or says can no longer be trusted."""
+
+    exit_code = 4
+
+
 class ConfigurationError(DriverError):
     """The recipe asks for a driver that there is not, or gives an address that none could use."""
 

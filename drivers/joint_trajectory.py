@@ -33,6 +33,8 @@ LONGEST = 20.0
 LEAD = 0.2
 #: Largest path tolerance [rad, m].
 WIDEST = 0.2
+#: Rows of a point, as messages call them.
+RATES = ("positions", "velocities", "accelerations")
 _SHORTEST = 0.5  # s, of a move from where the arm rests
 _SETTLED = 0.5  # s, between the last point and the duration that is allowed, for rounding and the lead
 _PARTS = 10  # goals of one move, at most
@@ -172,10 +174,19 @@ class GoalProgram:
     steps: tuple[Step, ...]
 
     @property
+    def fastest(self) -> np.ndarray:
+        """(n,) largest velocity of each joint in its goals [rad/s]."""
+        return self._largest(1)
+
+    @property
     def fastest_change(self) -> np.ndarray:
         """(n,) largest acceleration of each joint in its goals [rad/s²]."""
-        rows = [np.abs(step.points.qdd).max(axis=0) for step in self.steps if step.points is not None]
-        rows += [step.to[2] for step in self.steps if step.to is not None]
+        return self._largest(2)
+
+    def _largest(self, derivative: int) -> np.ndarray:
+        rows = [step.to[derivative] for step in self.steps if step.to is not None]
+        splines = [step.points for step in self.steps if step.points is not None]
+        rows += [np.abs((spline.qd, spline.qdd)[derivative - 1]).max(axis=0) for spline in splines]
         return np.max(rows, axis=0)
 
     def run(self) -> Iterator[Step]:
@@ -257,9 +268,7 @@ def _points(given: list[dict[str, Any]], count: int) -> JointSpline:
         raise ValueError(
             f"a goal of {times[-1]:.1f} s; {LONGEST:g} s are allowed, as the arm goes on to its end by itself"
         )
-    q, qd, qdd = (
-        np.array([_row(point[key], count) for point in given]) for key in ("positions", "velocities", "accelerations")
-    )
+    q, qd, qdd = (np.array([_row(point[key], count) for point in given]) for key in RATES)
     if np.any(qd[[0, -1]]) or np.any(qdd[[0, -1]]):
         raise ValueError("a goal has to begin and end stationary")
     return JointSpline(np.array(times), q, qd, qdd)

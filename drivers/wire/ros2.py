@@ -90,6 +90,11 @@ class SetPoint:
     scaling: float
 
 
+def columns(rows: Sequence[JointSample] | Sequence[SetPoint], *names: str) -> list[np.ndarray]:
+    """These fields of samples or set-points, each as one array (K,) or (K, n)."""
+    return [np.array([getattr(row, name) for row in rows]) for name in names]
+
+
 class _Reader:
     """Numbers by joint from CDR bytes that begin with a header and names.
 

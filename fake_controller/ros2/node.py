@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,16 +31,37 @@ class JointStateWriter:
             text = name.encode() + b"\0"
             body += b"\0" * (-len(body) % 4) + struct.pack("<I", len(text)) + text
         self._names = bytes(body)
-        self._count = len(names)
 
     def write(self, stamp: float, *rows: np.ndarray) -> bytes:
         """One message: stamp [s], then position, velocity and effort (n,)."""
+        return b"\x00\x01\x00\x00" + bytes(self._body(stamp, rows))
+
+    def _body(self, stamp: float, rows: Iterable[np.ndarray]) -> bytearray:
         sec = int(stamp)
         body = bytearray(struct.pack("<iI", sec, min(round((stamp - sec) * 1e9), 999_999_999)) + self._names)
         for row in rows:
-            body += b"\0" * (-len(body) % 4) + struct.pack("<I", self._count)
-            body += b"\0" * (-len(body) % 8) + np.ascontiguousarray(row, "<f8").tobytes()
-        return b"\x00\x01\x00\x00" + bytes(body)
+            _append(body, row)
+        return body
+
+
+class SetPointWriter(JointStateWriter):
+    """JointTrajectoryControllerStates (Jazzy) of these names as CDR bytes."""
+
+    def write(self, stamp: float, *rows: np.ndarray, scaling: float = 1.0) -> bytes:
+        """One message: stamp [s], position and velocity (n,) of reference and of feedback, and the speed scaling."""
+        body = self._body(stamp, ())
+        for point in (rows[:2], rows[2:], (), ()):  # then error and output, which are left empty
+            for row in (*point, *[np.empty(0)] * (4 - len(point))):
+                _append(body, row)
+            body += bytes(-len(body) % 4 + 8)
+        body += bytes(4 + 4 * 20)  # of joints of several degrees of freedom
+        return b"\x00\x01\x00\x00" + bytes(body + bytes(-len(body) % 8) + struct.pack("<d", scaling))
+
+
+def _append(body: bytearray, row: np.ndarray) -> None:
+    body += bytes(-len(body) % 4) + struct.pack("<I", len(row))
+    if len(row):
+        body += bytes(-len(body) % 8) + np.ascontiguousarray(row, "<f8").tobytes()
 
 
 def seconds(value: Any) -> float:
@@ -193,7 +214,7 @@ class Ros2Server:
         )
         topic = self._place.name(self._place.controller, "controller_state")
         self._state_publisher = node.create_publisher(JointTrajectoryControllerState, topic, 10)
-        self._state = JointTrajectoryControllerState(joint_names=list(cell.robot.joint_names))
+        self._state = SetPointWriter(cell.robot.joint_names)
         return True
 
     # What comes in, in the executor's thread
@@ -237,13 +258,6 @@ class Ros2Server:
                 self._publish_state(float(stamp), cycles, k)
 
     def _publish_state(self, stamp: float, cycles: RosCycles, k: int) -> None:
-        state = self._state
-        state.header.stamp.sec, state.header.stamp.nanosec = int(stamp), int(stamp % 1 * 1e9)
-        pairs = (
-            (state.reference, cycles.reference, cycles.reference_velocity),
-            (state.feedback, cycles.position, cycles.velocity),
-        )
-        for point, position, velocity in pairs:
-            point.positions, point.velocities = position[k].tolist(), velocity[k].tolist()
-        state.speed_scaling_factor = float(self.cell.controller.scaling)
-        self._state_publisher.publish(state)
+        rows = (cycles.reference, cycles.reference_velocity, cycles.position, cycles.velocity)
+        scaling = float(self.cell.controller.scaling)
+        self._state_publisher.publish(self._state.write(stamp, *(row[k] for row in rows), scaling=scaling))

@@ -144,7 +144,7 @@ class Arm:
 
     def brake(self, strength, position, velocity):
         self.brakes.append(self.now)
-        self.stopped_from = position
+        self.stopped_from, self.braked_at = position, velocity
         seconds, place = brake_point(position, velocity, strength)
         if not self.deaf:
             self.controller.take(self._message(0.0, [(seconds, place, 0.0 * place)]), self.now)
@@ -432,6 +432,55 @@ def test_a_second_stop_brakes_again_and_cancels():
     assert (len(arm.brakes), arm.cancels) == (2, 1)
 
 
+@BOTH
+def test_an_arm_that_obeys_and_is_seen_late_is_not_set_in_motion_again(by_goal):
+    """Positions stand still for 0.3 s, and are as late from then on; two stops follow, as the guard sends them."""
+    arm = Arm(by_goal)
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    was = deque([arm.position] * 150)
+    arm.noise = lambda: was.append(arm.position) or was.popleft() - arm.position
+    arm.run(0.15)
+    arm.motion.stopping = True
+    for wait in (0.3, 0.3, 1.0):
+        arm.motion.brake()
+        speeds = []
+        for _ in range(round(wait / 0.01)):
+            arm.run(0.01, until_over=True)
+            speeds.append(np.abs(arm.speed).max())
+        if len(arm.brakes) > 1:
+            assert max(speeds) < 0.05, "the second stop moved it"
+    assert len(arm.brakes) > 1
+
+
+def test_a_second_stop_of_an_arm_that_went_far_brakes_it_where_it_is():
+    arm = Arm(False)
+    arm.run_program(HEADER + goal(way=1.0, seconds=8.0))
+    arm.run(1.5)
+    arm.deaf = True
+    arm.motion.stopping = True
+    arm.motion.brake()
+    arm.run(2.0)
+    arm.deaf = False
+    there = arm.position
+    arm.motion.brake()
+    arm.run(0.05)
+    assert np.allclose(arm.stopped_from, there, atol=0.03)
+
+
+def test_an_arm_that_follows_a_set_point_that_jumped_is_braked_from_no_more_than_its_planned_speed():
+    """As where the controller's clock is set forward: the arm is four times as fast for a moment."""
+    arm = Arm(False)
+    motion = arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(1.5)
+    arm.offset = np.array([0.07, 0.07])  # at 5 rad/s
+    arm.run(0.02)
+    assert np.abs(arm.velocity).max() > 2.0
+    motion.brake()
+    arm.run(PERIOD)
+    assert np.abs(arm.braked_at).max() < 1.0
+
+
 def test_late_samples_are_judged_by_their_stamp():
     arm = Arm(True)
     arm.run_program(HEADER + goal(seconds=8.0))
@@ -462,7 +511,7 @@ def test_the_controllers_own_end_of_a_goal_is_told():
     arm.run(1.5)
     arm.controller.deactivate()
     arm.run(2.0, until_over=True)
-    with pytest.raises(MotionStopped, match="the controller stopped the arm: error -1"):
+    with pytest.raises(MotionStopped, match="another client's goal replaced it, or the controller was deactivated"):
         blocks_of(arm)
     assert not arm.brakes or arm.cancels
 
@@ -475,10 +524,35 @@ def test_a_goal_that_somebody_cancels_is_told(at):
     arm.run(at)
     arm.controller.cancel()
     arm.run(2.0, until_over=True)
-    with pytest.raises(MotionStopped, match="somebody cancelled the goal"):
+    with pytest.raises(MotionStopped, match="somebody cancelled it"):
         blocks_of(arm)
     assert len(arm.sent) == 1
     assert not arm.speed.any()
+
+
+def test_an_arm_whose_goal_another_client_replaced_is_braked():
+    """The controller does not hold it: it moves on, to where the other one wants it."""
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=0.3, seconds=4.0, cycles=2))
+    arm.run(1.5)
+    there = arm._message(0.0, [(3.0, np.full(2, -1.0), np.zeros(2))])
+    assert arm.controller.take_goal(Goal(there, lambda *end: None), arm.now) == ""
+    arm.run(2.0, until_over=True)
+    with pytest.raises(MotionStopped, match="another client's goal replaced it"):
+        blocks_of(arm)
+    assert (len(arm.sent), len(arm.brakes)) == (1, 1)
+    assert arm.now - arm.brakes[0] < 0.8
+    assert not arm.speed.any()
+
+
+def test_an_arm_that_is_off_its_trajectory_while_its_goal_is_not_answered_may_come_to_run_it():
+    arm = Arm(True)
+    arm.answers_nothing = True
+    arm.run_program(HEADER + goal(way=1.0, seconds=4.0))
+    arm.run(2.0, until_over=True)
+    with pytest.raises(DriverError, match=r"did not answer a goal within 0\.\d s"):
+        blocks_of(arm)
+    assert (len(arm.sent), len(arm.brakes), arm.cancels) == (1, 1, 1)
 
 
 def test_a_goal_that_nobody_answers_is_braked_and_cancelled_and_not_sent_again():
@@ -488,7 +562,7 @@ def test_a_goal_that_nobody_answers_is_braked_and_cancelled_and_not_sent_again()
     arm.run(2.5)
     assert (len(arm.sent), len(arm.brakes), arm.cancels) == (1, 1, 1)
     arm.run(1.0, until_over=True)
-    with pytest.raises(DriverError, match="did not answer a goal within 2 s"):
+    with pytest.raises(DriverError, match=r"did not answer a goal within 2\.0 s"):
         blocks_of(arm)
 
 

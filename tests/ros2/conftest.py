@@ -1,10 +1,13 @@
 """An emulated arm on ROS 2. Everything here needs rclpy, and skips without it; `make ros` makes an environment."""
 
 import contextlib
+import functools
+import importlib
 import importlib.util
 import itertools
 import json
 import os
+import sys
 import threading
 import time
 from pathlib import Path
@@ -18,7 +21,8 @@ from tests.conftest import patience
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 HERE = importlib.util.find_spec("rclpy") is not None
-GOALS = HERE and importlib.util.find_spec("control_msgs") is not None
+#: What stands for control_msgs where it is not installed.
+GOALS = str(Path(__file__).with_name("goals"))
 
 JOINTS = ("shoulder", "elbow")
 CONTROLLER = "arm_controller"
@@ -33,6 +37,28 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if not HERE and item.path.is_relative_to(Path(__file__).parent):
             item.add_marker(needs)
+
+
+@functools.cache
+def goal_modules():
+    """control_msgs, or what stands for it: by unmodified rclpy, in both cases."""
+    sys.path.append(GOALS)
+    try:
+        return {
+            name: importlib.import_module(name) for name in ("control_msgs", "control_msgs.msg", "control_msgs.action")
+        }
+    finally:
+        sys.path.remove(GOALS)
+        for name in [name for name in sys.modules if name.partition(".")[0] == "control_msgs"]:
+            del sys.modules[name]
+
+
+@pytest.fixture
+def goal_types(monkeypatch):
+    """From here on this process, and those that it starts, can send goals."""
+    for name, module in goal_modules().items():
+        monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.setenv("PYTHONPATH", GOALS, prepend=os.pathsep)
 
 
 def goal(way, seconds, cycles=1, joints=JOINTS, tolerance=0.15):
@@ -87,16 +113,16 @@ class RosBench:
     """An arm in a namespace of its own, and drivers for it."""
 
     joint_names = JOINTS
-    short, long, comment, set_points = SHORT, LONG, "#", GOALS
+    short, long, comment = SHORT, LONG, "#"
 
     def __init__(self, arm, undo, **options):
         from fake_controller.ros2.node import Ros2Server
 
         self.undo = undo
         self.address = f"ros2://{DOMAIN}/arm_{next(_arms)}/{CONTROLLER}"
-        goals = options.pop("goals", True)
+        self.set_points = options.pop("goals", False)
         self.cell = build_ros2_cell(arm, 3, clock=Unhurried(), **options)
-        self.server = Ros2Server(self.cell, self.address, goals)
+        self.server = Ros2Server(self.cell, self.address, self.set_points)
         undo.callback(self.server.close)
 
     def driver(self, **options):
@@ -166,6 +192,6 @@ class RosBench:
 
 @pytest.fixture
 def ros_bench(arm):
-    """A function that makes benches: options of `build_ros2_cell`, and `goals` where control_msgs is to be left out."""
+    """A function that makes benches: options of `build_ros2_cell`, and `goals` with `goal_types`."""
     with contextlib.ExitStack() as undo:
         yield lambda **options: RosBench(arm, undo, **options)

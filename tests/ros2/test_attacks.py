@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from functools import partial
 
 import numpy as np
@@ -324,6 +325,25 @@ def growing(rate):
     return lambda q: q + rate * (time.time() - begun)
 
 
+def delayed(seconds):
+    """Positions as they were so long ago, and of now at first."""
+    was = deque()
+
+    def change(q):
+        now = time.time()
+        was.append((now, q.copy()))
+        while len(was) > 1 and was[1][0] <= now - seconds:
+            was.popleft()
+        return was[0][1]
+
+    return change
+
+
+def late_and_ahead(scene):
+    clock_forward(scene, 0.2)
+    changed(scene, position=delayed(0.3))
+
+
 def noise(size):
     rng = np.random.default_rng(0)
     return lambda q: q + rng.uniform(-size, size, len(q))
@@ -427,6 +447,8 @@ BEFORE = {
     ),
     "stamps are zero": (partial(changed, stamp=lambda at: 0.0), 4, "stamps .* stand still"),
     "simulated time at half speed": (simulated, 4, "loses .* s in each"),
+    "a clock 5 % too slow": (lambda s: changed(s, stamp=slowly(time.time(), 0.95)), 4, "loses 0.05. s in each"),
+    "a clock 5 % too fast": (lambda s: changed(s, stamp=slowly(time.time(), 1.05)), 4, "gains 0.05. s in each"),
     "velocities in degrees": (partial(changed, velocity=np.degrees), 5, "cannot be trusted"),
     "somebody else can command": (lambda s: s.command_arm(0), 4, "/teleop can command"),
     "40 more nodes": (many_nodes, 0, ""),
@@ -465,6 +487,11 @@ DURING = {
     "stamps turn to zero": (partial(changed, stamp=lambda at: 0.0), 4, "", STOPPED + 0.5),
     "clock an hour ahead": (partial(clock_forward, seconds=3600.0), (4, 5), "", STOPPED + 0.5),
     "clock half a second ahead": (partial(clock_forward, seconds=0.5), (4, 5), "", STOPPED),
+    "clock 0.2 s ahead": (partial(clock_forward, seconds=0.2), 5, "", STOPPED),
+    "positions 0.3 s behind": (partial(changed, position=delayed(0.3)), 5, "", STOPPED),
+    "positions 0.15 s behind": (partial(changed, position=delayed(0.15)), (0, 5), "", STOPPED + 0.5),
+    "clock 0.2 s ahead, positions 0.3 s behind": (late_and_ahead, 5, "", STOPPED),
+    "a clock 5 % too slow": (lambda s: changed(s, stamp=slowly(time.time(), 0.95)), 5, "off its trajectory", 6.0),
     "stamps run at half speed": (lambda s: changed(s, stamp=slowly(time.time(), 0.5)), (4, 5), "", 3.0),
     "another trajectory": (lambda s: s.command_arm(0.5), 5, "trajectory|path|plan", 6.0),
     "another trajectory 50 times a second": (lambda s: s.command_arm(50.0), 5, "", 30.0),
@@ -541,7 +568,7 @@ DURING = {
 
 @pytest.fixture
 def scene(ros_bench, arm, tmp_path):
-    return Scene(ros_bench(goals=False), tmp_path, arm)
+    return Scene(ros_bench(), tmp_path, arm)
 
 
 @pytest.mark.parametrize("name", BEFORE)
@@ -573,6 +600,7 @@ def test_in_motion(scene, measured, name):
     assert ended in (code if isinstance(code, tuple) else (code,)), output
     assert re.search(said, output), output
     assert took <= patience(soon)
+    assert not re.search("ahead|behind", name) or "does not obey" not in output, "it does, and is seen late"
     if not re.search("ahead|trajectory|150 %", name):  # there the controller itself is faster
         assert fastest <= 1.6 * PACE, "the stop threw the arm"
     assert scene.bench.motions_started() <= 4

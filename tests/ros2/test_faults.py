@@ -129,7 +129,7 @@ def publish_late(bench):
 def test_fault(ros_bench, arm, tmp_path, run, measured, monkeypatch, name):  # noqa: F811
     patient = functools.partialmethod(Ros2Driver.__init__, watchdog=patience(0.5))
     monkeypatch.setattr(Ros2Driver, "__init__", patient)
-    bench = ros_bench(goals=False)
+    bench = ros_bench()
     faults = []
     for one in TOGETHER.get(name, (name,)):
         phase = next((phase for phase in ("streaming", "start") if phase in FAULTS.get(one, ())), "")

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, DriverError, RefusedError
+from drivers.errors import ConfigurationError, DriverError, LinkStopped, RefusedError
 from drivers.joint_trajectory import LONGEST, GoalProgram
 from drivers.protocol import Identity, Status
 from drivers.transports.base.link import LinkDriver, check_currents
@@ -285,7 +285,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         if brake is not None:
             brake.beat()
             if not brake.alive:
-                motion.brake(DriverError(_ALONE))
+                motion.brake(LinkStopped(_ALONE))
         motion.poll()
 
     def _on_over(self) -> None:

@@ -11,14 +11,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.errors import DriverError, MotionStopped, RefusedError
+from drivers.errors import DriverError, LinkStopped, MotionStopped, RefusedError
 from drivers.joint_trajectory import GoalProgram, Step
 from drivers.protocol import SampleBlock
 from drivers.transports.base.samples import SampleStream
-from drivers.transports.ros2.following import CANCEL_AFTER, Counter, Course
+from drivers.transports.ros2.following import BRAKE, CANCEL_AFTER, Counter, Course, brake_point
 from drivers.transports.ros2.link import CANCELLED, RosLink
 from drivers.wire.reasons import EndReason
-from drivers.wire.ros2 import JOINT_STATES, JointSample, SetPoint
+from drivers.wire.ros2 import JOINT_STATES, JointSample, SetPoint, columns
 
 #: Time [s] from the controller's now to the stamp of a trajectory: with the lead to its first point it may be half a
 #: second on its way before the controller would jump.
@@ -39,10 +39,12 @@ _ANSWER, _GOAL_TIME, _SETTLES = 2.0, 1.0, 3.0  # s: of a goal's answer, and afte
 _SPAN, _STILL = 0.1, 0.003  # s, and rad/s over it: an arm that stands
 _LEFT = 0.003  # rad, m between a stationary arm and its trajectory
 _BLOCK = 0.01  # s of samples that are handed out at once
+_REPLACED = -1  # of a goal; the arm may move on
 _CODES = {
+    _REPLACED: "another client's goal replaced it, or the controller was deactivated",
     -4: "it left its path by more than the tolerance",
     -5: "it did not reach the end in time",
-    CANCELLED: "somebody cancelled the goal",
+    CANCELLED: "somebody cancelled it",
 }
 
 
@@ -74,7 +76,7 @@ class Ros2Motion(SampleStream):
     ) -> None:
         super().__init__(limit)
         self._clock = clock
-        self.strength = program.fastest_change
+        self.strength, self._fastest = program.fastest_change, program.fastest
         self.goals_sent = 0
         self.cycle_starts: list[float] = []  # s, by the controller's clock
         self.oldest = 0.0  # s, of a sample beyond the least
@@ -94,6 +96,7 @@ class Ros2Motion(SampleStream):
         self._result: tuple[int, str] | None = None
         self._braked: float | None = None  # monotonic
         self._brake_due = self._brake_sent = self._doubtful = False
+        self._rests_at: np.ndarray | None = None  # once it is braked
         self._polled = np.inf  # when time was looked at last, monotonic
         self._cancel_at = np.inf  # monotonic
         self._cancelled = False
@@ -144,9 +147,11 @@ class Ros2Motion(SampleStream):
         it: the controller sees to that by its own tolerance. After a brake nothing says where it is: what runs is
         cancelled, and the point waits for a sample.
         """
-        sample, velocity = self._link.latest, self._link.velocity
+        sample = self._link.latest
         if sample is None:
             return None
+        # A set-point that jumps makes the arm faster for a moment than it has to be braked from.
+        velocity = np.clip(self._link.velocity, -self._fastest, self._fastest)
         age = self._link.clock() - sample.stamp
         if age <= _OLD and not self._doubtful:
             state = sample.position + velocity * max(age, 0.0), velocity
@@ -155,7 +160,10 @@ class Ros2Motion(SampleStream):
         else:  # it would be thrown back to where it was
             self._cancel()
             return None
-        self._brake_sent = True
+        # An arm that obeys and is seen late would be set in motion again by a point from where it seems to be.
+        if self._rests_at is not None and np.all(np.abs(self._rests_at - state[0]) <= BRAKE * self._fastest):
+            state = self._rests_at, np.zeros_like(velocity)
+        self._rests_at, self._brake_sent = brake_point(*state, self.strength)[1], True
         return self._link.brake(self.strength, *state)
 
     def finish(self, error: DriverError | None) -> None:
@@ -179,7 +187,7 @@ class Ros2Motion(SampleStream):
         step = sample.stamp - self._recent[-1][0] if self._recent else 0.0
         if abs(step) > _STEP:
             self._recent.clear()
-            self.brake(DriverError(f"the clock of {JOINT_STATES} was set by {step:.3g} s, so the arm was stopped"))
+            self.brake(LinkStopped(f"the clock of {JOINT_STATES} was set by {step:.3g} s, so the arm was stopped"))
         number = self.counter.number(sample.stamp)
         if self.counter.crowded:
             self._doubtful = True
@@ -210,14 +218,8 @@ class Ros2Motion(SampleStream):
             return
         with self._lock:
             now = self._clock()
-            if self._phase == "moving" and self._by_goal and self._accepted is None and now - self._sent_at > _ANSWER:
-                self.brake(
-                    DriverError(
-                        f"{self._link.target.action} did not answer a goal within {_ANSWER:g} s; whatever runs was "
-                        "braked and cancelled: look at the arm and the controller"
-                    )
-                )
-                self._cancel_at = now
+            if self._unanswered and now - self._sent_at > _ANSWER:
+                self._give_up_goal()
             if now - self._polled > _STALL:
                 self._brake_sent = True  # by the second process, for all that is known here
             self._polled = now
@@ -230,6 +232,20 @@ class Ros2Motion(SampleStream):
                 if self.counter.crowded:  # no samples will show that it rests
                     self._come_to_rest()
 
+    @property
+    def _unanswered(self) -> bool:
+        return self._by_goal and self._accepted is None and self._phase == "moving"
+
+    def _give_up_goal(self) -> None:
+        """Brake and cancel what may run all the same, or come to run."""
+        self.brake(
+            LinkStopped(
+                f"{self._link.target.action} did not answer a goal within {self._clock() - self._sent_at:.1f} s; "
+                "whatever runs was braked and cancelled: look at the arm and the controller"
+            )
+        )
+        self._cancel_at = self._clock()
+
     def _watch(self, sample: JointSample, now: float) -> None:
         self._recent.append((sample.stamp, sample.position))
         while sample.stamp - self._recent[0][0] > _SPAN:
@@ -239,11 +255,13 @@ class Ros2Motion(SampleStream):
         self.oldest = max(self.oldest, age - self._least)
         if self._phase in ("moving", "settling") and not age - self._least <= self._link.watchdog + LATE:
             self.brake(
-                DriverError(
+                LinkStopped(
                     f"samples came {age - self._least:.2f} s late, so nobody watched the arm, and it was stopped; has "
                     "this computer or the network too much else to do?"
                 )
             )
+        if self._phase in ("moving", "settling") and self._result is not None and self._result[0] != 0:
+            return self._held()
         match self._phase:
             case "moving":
                 self._follow(sample)
@@ -259,7 +277,9 @@ class Ros2Motion(SampleStream):
         course = self.course
         assert course is not None
         off = np.abs(sample.position - course.position(sample.stamp))
-        if not np.all(off <= self._limit_off):
+        if not np.all(off <= self._limit_off) and self._unanswered:
+            self._give_up_goal()
+        elif not np.all(off <= self._limit_off):
             joint = int(np.argmax(np.where(np.isfinite(off), off - self._limit_off, np.inf)))
             self.brake(
                 MotionStopped(
@@ -268,8 +288,6 @@ class Ros2Motion(SampleStream):
                     "something hold it, or does something else command it?"
                 )
             )
-        elif self._result is not None and self._result[0] != 0:
-            self._held()
         elif sample.stamp >= course.end:
             self._phase, self._since = "settling", sample.stamp
 
@@ -277,18 +295,12 @@ class Ros2Motion(SampleStream):
         """Wait for the result, or without one for an arm that stands at the end."""
         course = self.course
         assert course is not None
-        if self._by_goal and self._result is not None:
-            if self._result[0] == 0:
-                self._go_on(sample)
-            else:
-                self._held()
-        elif not self._by_goal and self._stands():
-            off = np.abs(sample.position - course.last)
-            if np.all(off <= START):
-                self._go_on(sample)
-        if self._phase == "settling" and sample.stamp - course.end > _SETTLES:
+        there = not self._by_goal and self._stands() and np.all(np.abs(sample.position - course.last) <= START)
+        if there or self._result is not None:
+            return self._go_on(sample)
+        if sample.stamp - course.end > _SETTLES:
             self.brake(
-                DriverError(
+                LinkStopped(
                     f"{_SETTLES:g} s after the end of a trajectory "
                     + ("the controller says nothing of it" if self._by_goal else "the arm does not stand where it ends")
                     + "; look at the arm and the controller"
@@ -296,13 +308,16 @@ class Ros2Motion(SampleStream):
             )
 
     def _held(self) -> None:
-        """The controller has ended the goal by itself, and holds."""
+        """The controller has ended the goal by itself, and holds, unless something else moves the arm now."""
         assert self._result is not None
         code, text = self._result
-        self._why = self._why or MotionStopped(
-            f"the controller stopped the arm: {_CODES.get(code, f'error {code}')}{f' ({text})' if text else ''}; look "
-            "for the cause, then run the command again"
+        why = MotionStopped(
+            f"the controller ended the goal: {_CODES.get(code, f'error {code}')}{f' ({text})' if text else ''}; the "
+            "arm was stopped: look for the cause, then run the command again"
         )
+        if code == _REPLACED:
+            return self.brake(why)
+        self._why = self._why or why
         self._phase, self._braked = "braking", self._clock()
         self._cancel_at = self._braked + CANCEL_AFTER
 
@@ -311,7 +326,7 @@ class Ros2Motion(SampleStream):
         if self.stopping:
             return self._come_to_rest()
         if self._unread() > UNREAD:
-            self._why = DriverError(
+            self._why = LinkStopped(
                 f"{self._unread():.0f} s of samples wait to be read, so the next cycle was not sent: has this computer "
                 "too much else to do?"
             )
@@ -438,14 +453,10 @@ class Ros2Motion(SampleStream):
             self.take(self._block(part))
 
     def _block(self, part: list[tuple[int, JointSample, SetPoint | None]]) -> SampleBlock:
-        position, velocity, effort = (
-            np.array([getattr(sample, name) for _, sample, _ in part]) for name in ("position", "velocity", "effort")
-        )
+        position, velocity, effort = columns([sample for _, sample, _ in part], "position", "velocity", "effort")
         states = [state for *_, state in part if state is not None]
         known = len(states) == len(part)
-        reference, rate = (
-            np.array([getattr(state, name) for state in states]) if known else None for name in ("position", "velocity")
-        )
+        reference, rate = columns(states, "position", "velocity") if known else (None, None)
         torque = effort if self._torque is None else effort @ self._torque.T
         return SampleBlock(
             np.array([number for number, *_ in part]),

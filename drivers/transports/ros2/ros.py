@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import DriverError
+from drivers.joint_trajectory import RATES
 from drivers.transports.ros2.following import brake_point
 from drivers.wire.ros2 import RosAddress
 
@@ -217,10 +218,7 @@ def trajectory_message(joints: Iterable[str], stamp: float, points: Sequence[Seq
     message = JointTrajectory(joint_names=list(joints))
     set_time(message.header.stamp, stamp)
     for time_from_start, *rows in points:
-        values = dict(
-            zip(("positions", "velocities", "accelerations"), (np.asarray(r).tolist() for r in rows), strict=False)
-        )
-        point = JointTrajectoryPoint(**values)
+        point = JointTrajectoryPoint(**dict(zip(RATES, (np.asarray(row).tolist() for row in rows), strict=False)))
         set_time(point.time_from_start, time_from_start)
         message.points.append(point)
     return message

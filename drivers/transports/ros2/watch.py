@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
 import time
@@ -19,6 +20,7 @@ from drivers.wire.ros2 import (
     RosAddress,
     SetPoint,
     SetPointReader,
+    columns,
     names_in,
 )
 
@@ -104,10 +106,7 @@ class WatchedArm:
         numbers, self._numbers = self._numbers, []
         if not samples:
             return None
-        position, velocity, effort = (
-            np.array([getattr(sample, name) for sample in samples]) for name in ("position", "velocity", "effort")
-        )
-        time = np.array([sample.stamp for sample in samples])
+        time, position, velocity, effort = columns(samples, "stamp", "position", "velocity", "effort")
         speed = velocity if np.isfinite(velocity).any() else None
         return SampleBlock(np.array(numbers), time, position, speed, effort, None, None, received)
 
@@ -116,8 +115,8 @@ class WatchedArm:
         points, self._set_points = self._set_points, []
         if not points:
             return None
-        rows = [np.array([getattr(point, name) for point in points]) for name in ("stamp", "position", "velocity")]
-        return rows[0], rows[1], rows[2]
+        stamp, position, velocity = columns(points, "stamp", "position", "velocity")
+        return stamp, position, velocity
 
     def _take_sample(self, reader: JointStateReader, data: bytes) -> None:
         try:
@@ -205,10 +204,11 @@ class RosWatch:
         until = time.monotonic() + patience
         while self._node.best_effort(states) is None:
             self._wait_or_fail(until, f"nobody publishes {states} in domain {self.target.domain}")
-        self._subscribe("sensor_msgs.msg", "JointState", states, state=False)
+        self._node.raw("sensor_msgs.msg", "JointState", states, functools.partial(self.observed.take, False))
         topic = self.target.name(self.target.controller, "controller_state")
         try:
-            self._subscribe("control_msgs.msg", "JointTrajectoryControllerState", topic, state=True)
+            take = functools.partial(self.observed.take, True)
+            self._node.raw("control_msgs.msg", "JointTrajectoryControllerState", topic, take)
         except DriverError as error:
             self.without = str(error)
         while not self.observed.seen:
@@ -225,15 +225,12 @@ class RosWatch:
         """End the subscriptions."""
         self._node.close()
 
-    def _subscribe(self, package: str, name: str, topic: str, state: bool) -> None:
-        self._node.raw(package, name, topic, lambda data: self.observed.take(state, data))
-
     def _wait_or_fail(self, until: float, what: str) -> None:
         if time.monotonic() >= until:
-            environ = {name: os.environ[name] for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE",) if name in os.environ}
+            reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "not set")
             raise DriverError(
                 f"{what}; check domain, namespace and joint_state_broadcaster, and that the network lets multicast "
-                f"through, else set ROS_STATIC_PEERS{''.join(f' ({key} is {value})' for key, value in environ.items())}"
+                f"through, else set ROS_STATIC_PEERS (ROS_AUTOMATIC_DISCOVERY_RANGE is {reach})"
             )
         self._node.spin_once(_TURN)
 
