@@ -326,7 +326,7 @@ def growing(rate):
 
 
 def delayed(seconds):
-    """Positions as they were so long ago, and of now at first."""
+    """Positions as they were this time [s] ago; they stand still at first."""
     was = deque()
 
     def change(q):

@@ -72,7 +72,7 @@ class Arm:
             self.stopping._look.exception()
 
     def delay(self, seconds: float) -> None:
-        """Its positions stand still for so long, and are so late from then on."""
+        """Its positions stand still for this time [s], and are late by it from then on."""
         self._ways.extend([np.full(10, self._position)] * round(seconds / 0.02))
 
     def run(self, seconds: float, seen: bool = True) -> None:
