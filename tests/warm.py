@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import fcntl
 import functools
 import gc
 import importlib
@@ -22,6 +23,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -56,20 +58,28 @@ sys.exit(int(asked.recv(8)))
 
 
 class WarmProcess:
-    """`python -m MODULE ARGUMENTS` with standard output and errors to these files; input is empty.
+    """`python -m MODULE ARGUMENTS` with standard output and errors to these files; input is empty, or a terminal.
 
-    `environment` is added to that of the tests.
+    It leads the session of its `terminal`, if it is given one. `environment` is added to that of the tests.
     """
 
     def __init__(
-        self, module: str, *arguments: object, cwd: Path = ROOT, stdout: int, stderr: int, **environment: str
+        self,
+        module: str,
+        *arguments: object,
+        cwd: Path = ROOT,
+        stdout: int,
+        stderr: int,
+        terminal: int | None = None,
+        **environment: str,
     ) -> None:
         self.returncode: int | None = None
         self._status, ended = os.pipe()
         with open(os.devnull) as nothing:
-            files = [nothing.fileno(), stdout, stderr, ended]
+            files = [nothing.fileno() if terminal is None else terminal, stdout, stderr, ended]
             env = {**os.environ, "PYTHONPATH": str(ROOT), **environment}
             request = {"module": module, "arguments": list(map(str, arguments)), "cwd": str(cwd), "env": env}
+            request["leads"] = terminal is not None
             self.pid = _nursery()(request, files)
         os.close(ended)
 
@@ -92,6 +102,11 @@ class WarmProcess:
             raise subprocess.TimeoutExpired(f"process {self.pid}", timeout or 0.0)
         return code
 
+    def send_signal(self, number: int) -> None:
+        """Unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
     def kill(self) -> None:
         """End it as a power cut does."""
         if self.poll() is None:
@@ -108,11 +123,6 @@ class PipedProcess(WarmProcess):
         for _, end in pipes:
             os.close(end)
         self.stdout, self.stderr = (os.fdopen(end, encoding="utf-8") for end, _ in pipes)
-
-    def send_signal(self, number: int) -> None:
-        """Unless it has ended."""
-        if self.poll() is None:
-            os.kill(self.pid, number)
 
     def communicate(self) -> tuple[str, str]:
         """What is left of output and errors, once it has ended."""
@@ -231,6 +241,9 @@ def _serve(asked: socket.socket) -> dict[str, object] | None:
 
 def _become(request: dict) -> None:
     """Steps of an interpreter before its module runs."""
+    if request["leads"]:
+        os.setsid()
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["env"])
@@ -243,7 +256,7 @@ def _become(request: dict) -> None:
         stream = os.fdopen(
             place, mode, closefd=False, encoding="utf-8", errors=None if place < 2 else "backslashreplace"
         )
-        stream.reconfigure(line_buffering=place == 2)
+        stream.reconfigure(line_buffering=place == 2 or os.isatty(place))
         setattr(sys, name, stream)
         setattr(sys, f"__{name}__", stream)
 

@@ -21,13 +21,14 @@ from fake_controller.controller import Controller
 from fake_controller.faults import Fault
 from tests.conftest import DRAW, end_with_tests, environment
 from tests.faults.conftest import LONG, MOMENT
+from tests.warm import WarmProcess
 
 
 @dataclass
 class Terminal:
     """A pseudo-terminal with an agent in its foreground; `master` is the far end."""
 
-    process: subprocess.Popen
+    process: subprocess.Popen | WarmProcess
     master: int
     slave: int
 
@@ -62,15 +63,17 @@ def _lead(slave: int) -> Callable[[], None]:
 
 @pytest.fixture
 def on_terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
-    """Starts `agent …` on a pseudo-terminal, as its session leader."""
+    """Starts `agent …` on a pseudo-terminal, as its session leader; `afresh` where imports or Python's end matter."""
     made: list[Terminal] = []
 
-    def start(*arguments: object) -> Terminal:
+    def start(*arguments: object, afresh: bool = False) -> Terminal:
         master, slave = pty.openpty()
-        command = [sys.executable, "-m", "agent", *map(str, arguments)]
-        process = subprocess.Popen(
-            command, cwd=tmp_path, env=environment(), stdin=slave, stdout=slave, stderr=slave, preexec_fn=_lead(slave)
-        )
+        if afresh:
+            command, files = [sys.executable, "-m", "agent", *map(str, arguments)], {"stdin": slave}
+            files |= {"stdout": slave, "stderr": slave, "preexec_fn": _lead(slave)}
+            process = subprocess.Popen(command, cwd=tmp_path, env=environment(), **files)
+        else:
+            process = WarmProcess("agent", *arguments, cwd=tmp_path, stdout=slave, stderr=slave, terminal=slave)
         made.append(Terminal(process, master, slave))
         return made[-1]
 
@@ -110,9 +113,10 @@ def controller(bench) -> Controller:
 
 
 @pytest.fixture
-def moving(bench, controller, on_terminal):
+def moving(request, bench, controller, on_terminal):
     """A real-time controller and an agent on a terminal that moves it."""
-    terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    words = ("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    terminal = on_terminal(*words, afresh=getattr(request, "param", False))
     terminal.read_until("of motion")
     _wait_for(controller, controller.recorded + MOMENT)
     return controller, terminal
@@ -131,6 +135,7 @@ def _assert_nothing_lost(bench, controller) -> None:
     assert log.metadata["lost_samples"] == "0"
 
 
+@pytest.mark.parametrize("moving", [True], ids=["afresh"], indirect=True)
 def test_a_frozen_terminal_delays_no_stop_and_loses_nothing(bench, moving, assert_at_rest):
     controller, terminal = moving
     termios.tcflow(terminal.slave, termios.TCOOFF)
@@ -365,7 +370,8 @@ def test_a_motion_ends_normally_without_free_file_descriptors(bench, on_terminal
     controller = bench.serve(clock="real")
     if number is not None:
         bench.program.write_text(LONG, encoding="utf-8")
-    terminal = on_terminal("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    words = ("record", bench.recipe, "--program", bench.program, "-o", bench.log, "--yes")
+    terminal = on_terminal(*words, afresh=True)
     terminal.read_until("of motion")
     _leave_no_descriptors(terminal.process.pid)
     _wait_for(controller, 500)
