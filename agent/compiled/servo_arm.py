@@ -227,7 +227,7 @@ def _held(friction: np.ndarray, speed: float, bristle: np.ndarray, dt: float) ->
 
 @compiled(
     "void(f8[:,:,::1], f8[:,::1], f8[:,::1], b1[::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1],"
-    " f8[:,:,::1], f8[::1], i8, f8, f8[:,::1], f8[:,:,::1])"
+    " f8[:,:,::1], f8[:,::1], i8, f8, f8[:,::1], f8[:,:,::1])"
 )
 def march(  # noqa: C901
     rotations: np.ndarray,
@@ -262,7 +262,7 @@ def march(  # noqa: C901
         friction: (10, n) f0, f1, f2 and transition of what has no memory; of bristles coulomb, rise, 1 / Stribeck
             speed, viscous, 1 / knee and stiffness.
         references: (S · substeps, 2, n) position, velocity.
-        outside: (n,) torque on the joints.
+        outside: (S, n) torque on the joints, the same during a sample.
         substeps: steps a sample.
         dt: of a step [s].
         state: (5, n) joints' position, velocity and acceleration; servos' integral, bristles' torque; goes on from
@@ -300,7 +300,7 @@ def march(  # noqa: C901
         _place(rotations, origins, axes, prismatic, inertias, q, room, screws, bodies)
         _balance(screws, bodies, gravity, predicted, forces, matrix, bias)
         for k in range(n):
-            a[k] = outside[k] - bias[k]
+            a[k] = outside[sample, k] - bias[k]
             for j in range(n):
                 a[k] += load[j] * coupling[j, k]
             for j in range(k + 1):

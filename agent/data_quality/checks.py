@@ -46,7 +46,12 @@ CHECKS: tuple[tuple[Callable[[Recordings], Iterator[QualityFinding]], ...], ...]
 )
 
 
-def check_quality(robot: RobotDescription, logs: Sequence[Log], others: Sequence[Log] = ()) -> list[QualityFinding]:
+def check_quality(
+    robot: RobotDescription,
+    logs: Sequence[Log],
+    others: Sequence[Log] = (),
+    predicted: Callable[[], bool] = lambda: False,
+) -> list[QualityFinding]:
     """What is wrong with logs, the likeliest reason first; empty where nothing speaks against them.
 
     Parameters
@@ -55,9 +60,10 @@ def check_quality(robot: RobotDescription, logs: Sequence[Log], others: Sequence
     logs : recorded motions; those without torque are ignored
     others : further motions of the same recorder. A mistake that only fits better has to do so with them as well: a few
         seconds of slow motion do not distinguish it from chance.
+    predicted : whether a fitted model predicts the logs, asked once a search for mistakes would be next: none is there
     """
     findings: list[QualityFinding] = []
-    recordings = Recordings(robot, [log for log in logs if log.effort is not None], others)
+    recordings = Recordings(robot, [log for log in logs if log.effort is not None], others, predicted)
     for stage in CHECKS if recordings.logs else ():
         findings += [finding for check in stage for finding in check(recordings)]
         if any(finding.refuses or finding.scale for finding in findings):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -38,11 +38,13 @@ class QualityFinding:
 @dataclass(frozen=True, eq=False)
 class Recordings:
     """Logs with torque of one robot; `others` are further motions of the same recorder, which a doubt about little data
-    has to stand up to."""
+    has to stand up to. `predicted` says whether a fitted model predicts the logs, so that nothing is mistaken in them.
+    """
 
     robot: RobotDescription
     logs: Sequence[Log]
     others: Sequence[Log] = ()
+    predicted: Callable[[], bool] = lambda: False
 
     @cached_property
     def samples(self) -> FitSamples | None:

@@ -57,7 +57,7 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
     pushing, driven_on = _pushing(plain, samples.torque)
     unexplained = solution.unexplained
     right = solution.left.mean() < _EXACT and not len(driven_on)
-    likeliest = None if right else _likeliest(plain, pushing, driven_on)
+    likeliest = None if right or of.predicted() else _likeliest(plain, pushing, driven_on)
     if unexplained > _UNEXPLAINED:
         share = f"a rigid arm explains {100 * max(0.0, 1 - unexplained):.0f} % of the torque, whatever its parameters"
         finding = likeliest or _unrelated(plain)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -135,6 +136,7 @@ class RigidFit:
         bend = (position - position.mean()) / max(float(np.ptp(position)), 1e-9)
         sprung.columns = np.concatenate([self.columns, self.columns[:, :, [offset]] * bend[:, None, None]], axis=2)
         sprung.precision = np.append(self.precision, self.precision[offset])
+        vars(sprung).pop("_products", None)
         return sprung
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -184,9 +186,26 @@ class RigidFit:
 
     def _moments(self, torque: np.ndarray) -> np.ndarray:
         """(FOLDS, n, p + 1, p + 1) of a torque (S, n), the last row and column."""
-        rows = np.concatenate([self.columns, torque[:, :, None]], axis=2).swapaxes(0, 1)
-        parts = [rows[:, self.samples.fold == fold] for fold in range(FOLDS)]
+        products = self._products
+        width = products.shape[-1]
+        moments = np.empty((*products.shape[:2], width + 1, width + 1))
+        moments[:, :, :width, :width] = products
+        for of_fold, fold in zip(moments, range(FOLDS), strict=True):
+            columns, own = self._part(self.columns, fold), self._part(torque, fold)[:, :, None]
+            of_fold[:, :width, -1:] = columns.swapaxes(1, 2) @ own
+            of_fold[:, -1, :width] = of_fold[:, :width, -1]
+            of_fold[:, -1:, -1:] = own.swapaxes(1, 2) @ own
+        return moments
+
+    @cached_property
+    def _products(self) -> np.ndarray:
+        """(FOLDS, n, p, p) of the columns with themselves: torques differ, and they do not."""
+        parts = (self._part(self.columns, fold) for fold in range(FOLDS))
         return np.array([part.swapaxes(1, 2) @ part for part in parts])
+
+    def _part(self, values: np.ndarray, fold: int) -> np.ndarray:
+        """(n, S', …) those of (S, n, …) that are held out together."""
+        return values[self.samples.fold == fold].swapaxes(0, 1)
 
 
 def _fitted(moments: np.ndarray, fit: RigidFit, rounds: int = _ROUNDS) -> tuple[np.ndarray, np.ndarray]:

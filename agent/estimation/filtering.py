@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
-from scipy.fft import next_fast_len
+from scipy.fft import irfft, next_fast_len, rfft
 
 from agent.core import InputError
 from agent.estimation.clock import SampleClock
@@ -359,10 +359,11 @@ def _respond(signals: np.ndarray, rate: float, responses: _Responses, kept: slic
     before = min(size - 1, (length - size) // 2)
     after = min(size - 1, length - size - before)
     frequency = np.fft.rfftfreq(length, 1 / rate)[: reduced // 2 + 1]
-    gains = [response / step for response in responses(frequency)]
-    results = [np.empty((count, -(-(stop - first) // step))) for _ in gains]
+    precision = np.float32 if signals.dtype == np.float32 else np.float64
+    gains = [(response / step).astype(np.result_type(response[:0] * precision(1))) for response in responses(frequency)]
+    results = [np.empty((count, -(-(stop - first) // step)), dtype=precision) for _ in gains]
     # sample `first` comes first in the transform, what precedes it wraps around
-    extended = np.zeros((min(_TOGETHER, count), length))
+    extended = np.zeros((min(_TOGETHER, count), length), dtype=precision)
     for start in range(0, count, _TOGETHER):
         part = signals[:, start : start + _TOGETHER]
         rows = extended[: part.shape[1]]
@@ -370,9 +371,9 @@ def _respond(signals: np.ndarray, rate: float, responses: _Responses, kept: slic
         rows[:, size - first : size - first + after] = 2 * part[-1][:, None] - part[-2 : -after - 2 : -1].T
         rows[:, length - first :] = part[:first].T
         rows[:, length - first - before : length - first] = 2 * part[0][:, None] - part[before:0:-1].T
-        spectrum = np.fft.rfft(rows, axis=1)[:, : len(frequency)]
+        spectrum = rfft(rows, axis=1)[:, : len(frequency)]
         for result, gain in zip(results, gains, strict=True):
-            result[start : start + _TOGETHER] = np.fft.irfft(spectrum * gain, reduced, axis=1)[:, : result.shape[1]]
+            result[start : start + _TOGETHER] = irfft(spectrum * gain, reduced, axis=1)[:, : result.shape[1]]
     return [result.T for result in results]
 
 

@@ -13,13 +13,16 @@ from agent.model.effects import CATALOGUE
 from agent.model.rigid_friction import ModelEffect, RigidFrictionModel
 
 
-def effect_torque(model: RigidFrictionModel, entry: ModelEffect, motion: Mapping[str, Any]) -> np.ndarray:
+def effect_torque(
+    model: RigidFrictionModel, entry: ModelEffect, motion: Mapping[str, Any], reference: NominalModel | None = None
+) -> np.ndarray:
     """(S, n) joint torque [N·m] of one effect on a motion (time, q, qd, qdd as arrays; `log` counts the logs of a fit).
 
     Args:
         model: whose robot and friction the effect acts on.
         entry: the effect, with its joints and parameters.
         motion: `time` (S,) [s], `q`, `qd` and `qdd` (S, n); `log` counts the logs of a fit.
+        reference: the model in parts, if they are known.
 
     Raises:
         InputError: an effect that is neither built in nor installed, parameters or joints that it does not have, or
@@ -38,9 +41,8 @@ def effect_torque(model: RigidFrictionModel, entry: ModelEffect, motion: Mapping
     if motion["time"] is None:
         raise InputError(f"the model's effect {entry.effect} needs the times of the samples")
     settings = {key: value for key, value in entry.parameters.items() if key not in names}
-    signals = MotionSignals(
-        NominalModel(model), motion["time"], motion["q"], motion["qd"], motion["qdd"], motion.get("log", -1)
-    )
+    reference = reference or NominalModel(model)
+    signals = MotionSignals(reference, motion["time"], motion["q"], motion["qd"], motion["qdd"], motion.get("log", -1))
     total = np.zeros(signals.q.shape)
     with np.errstate(all="ignore"):
         for joint, columns in effect.columns(signals, joints, settings).items():

@@ -6,7 +6,7 @@ import os
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -253,10 +253,11 @@ def check_plausible(
     ------
     RejectedError : with the likeliest reason first.
     """
-    findings = check_quality(robot, logs, further)
+    predicted = cache(lambda: model is not None and predicts(model, logs))
+    findings = check_quality(robot, logs, further, predicted)
     refusals = [str(finding) for finding in findings if finding.refuses]
     if findings and model is not None:
-        if refusals and predicts(model, logs):
+        if refusals and predicted():
             refusals = []
         elif same_scale(model, logs):
             findings = [finding for finding in findings if not finding.scale]
@@ -270,9 +271,9 @@ def check_plausible(
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     # a simulator without friction predicts no arm
-    if named and not refusals and model is not None and model.method != SIMULATOR and not predicts(model, logs):
+    if named and not refusals and model is not None and model.method != SIMULATOR and not predicted():
         refusals, named = [f"{named[0]}, and its model does not predict them"], []
-    if not refusals and model is not None and model.method != SIMULATOR and not predicts(model, logs):
+    if not refusals and model is not None and model.method != SIMULATOR and not predicted():
         refusals = [_ANOTHER_ROBOT] if is_of_another_robot(model, logs) else []
     if refusals and not force:
         names = ", ".join(log.name for log in logs)

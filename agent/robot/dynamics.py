@@ -79,13 +79,15 @@ class Dynamics:
 
     def regressor(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """(S, n, 10 n) regressor of the standard inertial parameters: τ = Y π, links base to tip."""
+        if len(q) >= _MANY:
+            return self.regressor_by_joint(q, qd, qdd).transpose(2, 0, 1)
         columns = np.empty((len(q), self.dof, ParameterLayout.of(self.robot, rotors=False).size))
         for k in range(len(columns)):
             columns[k] = pin.computeJointTorqueRegressor(self._model, self._data, q[k], qd[k], qdd[k])
         return columns
 
     def regressor_by_joint(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-        """(n, 10 n, S) the columns of `regressor`, joint by joint, six times quicker once Numba is loaded."""
+        """(n, 10 n, S) the columns of `regressor`, joint by joint, six times quicker than Pinocchio's."""
         from agent.compiled import regressor_columns
 
         samples = (np.asarray(values, dtype=float) for values in (q, qd, qdd))

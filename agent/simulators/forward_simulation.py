@@ -92,7 +92,7 @@ class ForwardSimulation:
 
     `rotor_inertias` (n,) [kg·m², motor side]; `period` [s] of set-points and samples, each divided into as many steps
     as `inner_rate` [Hz] needs. A set-point is reached one period after it is given: the drive interpolates between
-    the last two.
+    the last two. `external` acts on the joints: a function, or (S, n) [N·m] of the samples from the beginning on.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class ForwardSimulation:
         gains: ServoGains,
         period: float = 0.002,
         inner_rate: float = 2000.0,
-        external: ExternalTorque | None = None,
+        external: ExternalTorque | np.ndarray | None = None,
     ):
         robot = dynamics.robot
         self.period = period
@@ -141,7 +141,7 @@ class ForwardSimulation:
         still = np.zeros((1, len(q)))
         load = self._dynamics.inverse_dynamics(self._state[:1], still, still)[0]
         if self._external is not None:
-            load = load - self._external(self.time, self.position, still[0])
+            load = load - self._outside(0, 1)[0]
         self._state[3] = np.linalg.solve(self._coupling.T, load)
         self._set_point = (self._coupling @ self.position, np.zeros(len(q)))
 
@@ -160,14 +160,20 @@ class ForwardSimulation:
         servo = np.array([gains.position, gains.velocity, gains.integral, gains.feedforward, gains.limit], dtype=float)
         arm = *self._dynamics.chain, self._coupling, self._rotors, servo, self._actuation.friction
         states = np.empty((len(references) // steps, *self._state.shape))
-        outside = np.zeros(len(self._rotors))
-        together = len(states) if self._external is None else 1
-        for k in range(0, len(states), max(together, 1)):
-            if self._external is not None:
-                outside = self._external(self.time + k * self.period, self.position, self.velocity)
-            part = references[k * steps : (k + together) * steps]
+        together = 1 if callable(self._external) else max(len(states), 1)
+        for k in range(0, len(states), together):
+            part, outside = references[k * steps : (k + together) * steps], self._outside(k, together)
             march(*arm, part, outside, steps, self.period / steps, self._state, states[k : k + together])
         return states
+
+    def _outside(self, first: int, count: int) -> np.ndarray:
+        """(count, n) torque from outside during samples, of which the `first` is counted from now on."""
+        if self._external is None:
+            return np.zeros((count, len(self._rotors)))
+        if callable(self._external):
+            return self._external(self.time + first * self.period, self.position, self.velocity)[None]
+        now = round(self.time / self.period) + first
+        return np.ascontiguousarray(self._external[now : now + count])
 
     def _inner_references(self, reference: np.ndarray, reference_velocity: np.ndarray) -> np.ndarray:
         """(S · substeps, 2, n) position and velocity of the axles: cubic Hermite from the last set-point given."""

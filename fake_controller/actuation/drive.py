@@ -143,6 +143,7 @@ class SteppedSimulation(ForwardSimulation):
         substeps, coupling, external = self._substeps, self._coupling, self._external
         motors, actuate, servo = self._drive.motors, self._drive.step, self._servo.step
         accelerate, coupled = self._accelerate, bool(np.any(coupling - np.eye(len(coupling))))
+        assert not isinstance(external, np.ndarray)
         dt = self.period / substeps
         q, v, a = self._state[:3].copy()
         time = self.time

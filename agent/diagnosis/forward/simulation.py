@@ -120,10 +120,8 @@ def _follow(model: IdentifiedModel, motion: Motion, number: int) -> tuple[np.nda
     reading = tuple(entry for entry in model.effects if not CATALOGUE[entry.effect].moves_arm)
     arm = _Arm(replace(model, effects=tuple(e for e in model.effects if e not in reading)), motion, number)
     position = arm.set_points
-    extra = arm.beyond(position)
     for _ in range(_ROUNDS):
-        position, torque = arm.run(extra)
-        extra = arm.beyond(position)
+        position, torque = arm.run(arm.beyond(position))
     for entry in reading:
         torque = torque + effect_torque(model, entry, arm.motion_of(position))
     return position, motion.low_pass(torque)
@@ -153,9 +151,6 @@ class _Arm:
         """Positions and torques (S, n) under the motion's set-points, against an `extra` torque (S, n)."""
         motion, period = self._motion, 1 / self._motion.rate
 
-        def external(time: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-            return -extra[min(max(round(time / period), 0), len(extra) - 1)]
-
         simulation = ForwardSimulation(
             self._reference.solid,
             self._rotors,
@@ -163,7 +158,7 @@ class _Arm:
             self._gains(),
             period=period,
             inner_rate=max(1 / STEP, motion.rate),
-            external=external,
+            external=-extra,
         )
         simulation.rest(self.set_points[0])
         ran = simulation.run(self.set_points, np.gradient(self.set_points, period, axis=0))
@@ -175,7 +170,7 @@ class _Arm:
         q, qd, qdd = moved["q"], moved["qd"], moved["qdd"]
         torque = np.sum(self._model.rigid_and_friction(q, qd, qdd), axis=0)
         for entry in self._model.effects:
-            torque = torque + effect_torque(self._model, entry, moved)
+            torque = torque + effect_torque(self._model, entry, moved, self._reference)
         speed, f = qd @ self._coupling.T, self._friction
         plain = f["coulomb"] * np.tanh(speed / f["transition"]) + f["viscous"] * speed
         plain = plain + f["quadratic"] * np.abs(speed) * speed

@@ -202,7 +202,9 @@ def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) 
         return None
     places = list(model.robot.joint_names)
     known = [e for e in model.healthy if e.effect in CATALOGUE and e.effect not in without and {*e.joints} <= {*places}]
-    forms = fit.candidates([(CATALOGUE[e.effect], tuple(map(places.index, e.joints)), e.settings) for e in known])
+    forms = fit.candidates(
+        [(CATALOGUE[e.effect], tuple(map(places.index, e.joints)), e.settings) for e in known], rough=True
+    )
     healthy = []
     for entry, form in zip(known, forms, strict=True):
         if form.stable and set(form.names) == set(entry.amount):

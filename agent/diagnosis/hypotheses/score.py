@@ -92,6 +92,7 @@ class Score:
         for effect in healthy or ():
             size = noise.torque_of(effect.candidate, effect.amount)
             self.usual[effect.candidate.place] = max(size, self.usual.get(effect.candidate.place, 0.0))
+            effect.candidate.release()
         self._baseline = {effect.candidate.place: effect for effect in healthy or () if effect.mean is not None}
         self.pool = CandidateMoments(noise)
         rounds = _ROUNDS + 1  # in which the scales are fitted

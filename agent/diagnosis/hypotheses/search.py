@@ -132,7 +132,7 @@ class Search:
         return wanted
 
     def _stable(self, wanted: Sequence[Wanted]) -> list[Candidate]:
-        return [form for form in self.fit.candidates(wanted) if form.stable]
+        return [form for form in self.fit.candidates(wanted, rough=True) if form.stable]
 
     def _text(self, base: Evaluated) -> str:
         names = [self.evidence.pool.candidate(k).effect.name for k in base.effects]
@@ -197,7 +197,7 @@ class Search:
 
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
         for start in range(0, len(wanted), TOGETHER):
-            some = fit.candidates(wanted[start : start + TOGETHER])
+            some = fit.candidates(wanted[start : start + TOGETHER], rough=True)
             new = [c for c in dict.fromkeys(some) if c not in self._known and c.stable]
             self._known.update(new)
             self.evidence.pool.add(new)

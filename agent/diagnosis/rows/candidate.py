@@ -112,12 +112,15 @@ class Fold:
     train: np.ndarray
 
 
-def make_candidates(context: FitContext, wanted: Sequence[Wanted]) -> list[Candidate]:
-    """Candidates with their columns, filtered like the torque and divided by the noise level of `context`."""
+def make_candidates(context: FitContext, wanted: Sequence[Wanted], rough: bool = False) -> list[Candidate]:
+    """Candidates with their columns, filtered like the torque and divided by the noise level of `context`.
+
+    `rough`: in single precision, which is enough to compare them, until they are released and made again.
+    """
     motions = list(zip(context.signals, context.sigmas, strict=True))
     made = []
     few = any(signals.answer is not None for signals in context.signals)  # means, each the answer of a whole motion
-    for (effect, joints, settings), blocks in zip(wanted, _all_columns(motions, wanted), strict=True):
+    for (effect, joints, settings), blocks in zip(wanted, _all_columns(motions, wanted, rough), strict=True):
         prior = effect.prior_precision(context, joints, settings)
         # not the context: it remembers the candidate, and a circle is not freed with the last reference
         again = partial(_made_again, motions, (effect, joints, settings))
@@ -131,34 +134,35 @@ def _made_again(motions: _Motions, wanted: Wanted) -> dict[int, np.ndarray]:
     return _all_columns(motions, [wanted])[0]
 
 
-def _all_columns(motions: _Motions, wanted: Sequence[Wanted]) -> list[dict[int, np.ndarray]]:
+def _all_columns(motions: _Motions, wanted: Sequence[Wanted], rough: bool = False) -> list[dict[int, np.ndarray]]:
     """Per candidate joint → (S', k) over σ, all motions in a row."""
     kinds, signals = {effect for effect, *_ in wanted}, [signals for signals, _ in motions]
     for kind in kinds:
         kind.prepare(signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
     starts = range(0, len(wanted), TOGETHER)
-    made = [made for first in starts for made in _columns(motions, wanted[first : first + TOGETHER])]
+    made = [made for first in starts for made in _columns(motions, wanted[first : first + TOGETHER], rough)]
     for kind in kinds:
         kind.release(signals)
     return made
 
 
-def _columns(motions: _Motions, wanted: Sequence[Wanted]) -> list[dict[int, np.ndarray]]:
+def _columns(motions: _Motions, wanted: Sequence[Wanted], rough: bool) -> list[dict[int, np.ndarray]]:
     parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
     for signals, sigma in motions:
-        over = [column[:, None] for column in np.ascontiguousarray(sigma.T)]
+        precision = np.float32 if rough and signals.answer is None else np.float64
+        over = [column[:, None] for column in np.ascontiguousarray(sigma.T, dtype=precision)]
         if signals.answer is not None:
             _answered(signals, over, wanted, parts)
             continue
         ready = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
         for some in _batches(signals, [(k, wanted[k]) for k, of_motion in enumerate(ready) if of_motion is None]):
-            filtered = signals.low_pass(np.concatenate([block.T for *_, block in some]).T)
+            filtered = signals.low_pass(np.concatenate([block.T for *_, block in some], dtype=precision).T)
             ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
             for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
                 parts[number].setdefault(joint, []).append(block / over[joint])
         for number, blocks in enumerate(ready):
             for joint, block in (blocks or {}).items():
-                parts[number].setdefault(joint, []).append(block / over[joint])
+                parts[number].setdefault(joint, []).append(np.divide(block, over[joint], dtype=precision))
     return [{joint: np.concatenate(block) for joint, block in of_motion.items()} for of_motion in parts]
 
 

@@ -245,20 +245,26 @@ class Fit:
         """Columns of an effect, filtered as the torque is."""
         return self.candidates([(effect, joints, settings)])[0]
 
-    def candidates(self, wanted: Sequence[Wanted]) -> list[Candidate]:
-        """Columns of several effects at once; those asked for before are remembered."""
+    def candidates(self, wanted: Sequence[Wanted], rough: bool = False) -> list[Candidate]:
+        """Columns of several effects at once, as `make_candidates`; those asked for before are remembered."""
         keys = [(effect, joints, tuple(settings.items())) for effect, joints, settings in wanted]
         new = {key: entry for key, entry in zip(keys, wanted, strict=True) if key not in self._made}
         if new:
-            self._made.update(zip(new, make_candidates(self, list(new.values())), strict=True))
+            self._made.update(zip(new, make_candidates(self, list(new.values()), rough), strict=True))
         return [self._made[key] for key in keys]
 
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
         candidate = self.candidate(effect, joints, settings)
-        values = self.with_chosen((*self.chosen, candidate)).values[-1]
+        inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
+        ((cross, own),) = self._moments.of([candidate])
+        others = [self._moments.between(other, [candidate])[0] for other in self.chosen]
+        *known, side = np.concatenate([cross[:, :-1], *others, cross[:, -1:]], axis=1).sum(axis=0) / self.repeat
+        square, known = own.sum(axis=0), np.reshape(known, (self.size, -1))
+        schur = square / self.repeat + self.ridge(candidate, square.diagonal()) - known.T @ inverse @ known
+        unit = 1 / np.sqrt(np.maximum(schur.diagonal(), 1e-300))
         candidate.release()
-        return values
+        return np.asarray(unit * np.linalg.solve(schur * np.outer(unit, unit), unit * (side - known.T @ alone)))
 
     def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).

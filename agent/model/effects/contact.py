@@ -136,7 +136,10 @@ def _settings(pushes: Sequence[PushedWindow], places: Sequence[np.ndarray | None
     return entries
 
 
-def _window(since: np.ndarray, lasting: float | np.ndarray, rise: float, fall: float) -> np.ndarray:
+_Share = float | np.ndarray
+
+
+def _window(since: np.ndarray, lasting: _Share, rise: _Share, fall: _Share) -> np.ndarray:
     """Share of a force at times since the middle of its rise; it lasts until the middle of its fall. `rise` and `fall`
     are shares of the whole duration."""
     duration = lasting / (1 - 0.5 * (rise + fall))
@@ -181,11 +184,12 @@ class PushedWindow:
 @dataclass(frozen=True, eq=False)
 class _Sums:
     """Running sums over the rows of one motion, time (S',) [s]: moments (S', 3, 3) of the columns of a force, and with
-    the error (S', 3)."""
+    the error (S', 3). `inverses` (K, 3, 3) of the moments of all windows, by their length: they outlast the error."""
 
     time: np.ndarray
     gram: np.ndarray
     side: np.ndarray
+    inverses: dict[float, np.ndarray]
 
     def between(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Moments (K, 3, 3) of the force's columns, and with the error (K, 3), from `starts` to `ends` (K,) [s]."""
@@ -196,9 +200,19 @@ class _Sums:
     def forces(self, starts: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) what a constant force takes away from `starts` to `ends` (K,) [s], and that force (K, 3) [N]."""
         moments, pull = self.between(starts, ends)
-        moments += 1e-6 * np.trace(moments, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-12 * np.eye(3)
-        force = np.linalg.solve(moments, pull[:, :, None])[:, :, 0]
+        force = np.linalg.solve(_regular(moments), pull[:, :, None])[:, :, 0]
         return np.einsum("ka,ka->k", pull, force), force
+
+    def every_force(self, duration: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Starts (K,) [s] of all windows of a length, and `forces` of these."""
+        starts = np.arange(self.time[0], self.time[-1] - duration, _STARTS)
+        first = np.searchsorted(self.time, starts)
+        last = np.minimum(np.searchsorted(self.time, starts + duration), len(self.time) - 1)
+        if duration not in self.inverses:
+            self.inverses[duration] = np.linalg.inv(_regular(self.gram[last] - self.gram[first]))
+        pull = self.side[last] - self.side[first]
+        force = (self.inverses[duration] @ pull[:, :, None])[:, :, 0]
+        return starts, np.einsum("ka,ka->k", pull, force), force
 
     def whole(self, starts: np.ndarray, duration: float, gain: np.ndarray, force: np.ndarray) -> np.ndarray:
         """(K,) bool: which forces (K, 3) [N] from `starts` for `duration` [s] pull in the middle of it as well, as far
@@ -230,15 +244,14 @@ class Windows:
         """Windows of every length from running sums over the rows: moments of the force's columns and the error."""
         rows = np.zeros(len(signals.time), dtype=bool)
         rows[signals.kept] = True
-        columns, gram = _force(link, signals, rows, sigma)
+        columns, gram, inverses = _force(link, signals, rows, sigma)
         side = np.cumsum(np.einsum("san,sn->sa", columns, residual / sigma), axis=0)
         time = signals.time[signals.kept]
-        sums = _Sums(time, gram, side)
+        sums = _Sums(time, gram, side, inverses)
         for duration in _DURATIONS:
             if duration > _MOST_OF_LOG * (time[-1] - time[0]):
                 return
-            starts = np.arange(time[0], time[-1] - duration, _STARTS)
-            gain, force = sums.forces(starts, starts + duration)
+            starts, gain, force = sums.every_force(duration)
             yield cls(link, signals.log_index, duration, starts, gain, force, signals.cycle_starts, sums)
 
     @cached_property
@@ -329,15 +342,23 @@ class Windows:
         return shared
 
 
-def _force(link: int, signals: MotionSignals, rows: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(S', 3, n) columns of a force on a link over `sigma`, and running sums (S', 3, 3) of their moments.
+def _regular(moments: np.ndarray) -> np.ndarray:
+    """(…, k, k) moments that have an inverse, also where a force turns no joint."""
+    weak = _WEAK * np.trace(moments, axis1=-2, axis2=-1) + 1e-12
+    return np.asarray(moments + weak[..., None, None] * np.eye(moments.shape[-1]))
+
+
+def _force(
+    link: int, signals: MotionSignals, rows: np.ndarray, sigma: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, dict[float, np.ndarray]]:
+    """(S', 3, n) columns of a force on a link over `sigma`, running sums (S', 3, 3) of their moments, and inverses.
 
     Every scan of a search needs them, with another error each time.
     """
     known = signals.memory.setdefault("forces", {})
     if link not in known or not np.array_equal(known[link][0], sigma):
         columns = -signals.pushed(link, rows) / sigma[:, None]
-        known[link] = sigma, columns, np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0)
+        known[link] = sigma, columns, np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0), {}
     return known[link][1:]
 
 
@@ -428,9 +449,10 @@ def shaped(push: PushedWindow, motions: Motions) -> PushedWindow:
     shapes = [(rise, fall) for rise in _EDGES for fall in _EDGES if rise + fall <= 1]
     tried = [(push.start, push.duration, push.rise, push.fall)]
     tried += [(a, b - a, *shape) for shape in shapes for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-    share = np.array([_window(time - start, *shape) for start, *shape in tried])
+    begin, *shape_of = np.array(tried).T[:, :, None]
+    share = _window(time - begin, *shape_of)
     moments, sides = (share**2 @ squares).reshape(-1, 3, 3), share @ pull
-    gain = [float(side @ _solved(moment, side)) for moment, side in zip(moments, sides, strict=True)]
+    gain = np.einsum("ka,ka->k", sides, _solved(moments, sides))
     start, duration, rise, fall = tried[int(np.argmax(gain))]
     return replace(push, start=start, duration=duration, rise=rise, fall=fall)
 
@@ -486,5 +508,5 @@ def place_of(push: PushedWindow, motions: Motions) -> np.ndarray | None:
 
 
 def _solved(moments: np.ndarray, side: np.ndarray) -> np.ndarray:
-    weak = (_WEAK * np.trace(moments) + 1e-12) * np.eye(len(side))
-    return np.linalg.solve(moments + weak, side)
+    """(…, k) solutions for moments (…, k, k) and sides (…, k)."""
+    return np.asarray(np.linalg.solve(_regular(moments), side[..., None])[..., 0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import product
 from types import MappingProxyType
 
@@ -189,11 +190,12 @@ class _Parts:
 def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:
     """(S, 1) friction of the model on an axle that also turns with a joint."""
     model, seen = signals.reference.model, signals.axles
-    position, speed = seen.position.copy(), seen.speed.copy()
-    position[:, axle] += ratio * signals.q[:, joint]
-    speed[:, axle] += ratio * signals.qd[:, joint]
+    position = seen.position[:, axle] + ratio * signals.q[:, joint]
+    speed = seen.speed[:, axle] + ratio * signals.qd[:, joint]
+    load = None if seen.load is None else seen.load[:, [axle]]
     terms = [(k, term) for k, term in enumerate(model.terms, len(model.independent)) if term.axle == axle]
-    columns = axle_columns(tuple(term for _, term in terms), AxleMotion(position, speed, seen.load))
+    alone = AxleMotion(position[:, None], speed[:, None], load)
+    columns = axle_columns(tuple(replace(term, axle=0) for _, term in terms), alone)
     return columns @ model.values[[k for k, _ in terms], None]
 
 
