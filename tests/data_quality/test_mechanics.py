@@ -84,6 +84,15 @@ def test_reports_each_impossible_log(healthy, reason):
     assert re.search(reason, found[0]), found
 
 
+def test_logs_that_a_model_predicts_are_not_searched_for_mistakes(healthy):
+    robot, log = healthy
+    swapped = replace(log, **MISTAKES["joint_2 and joint_3 look swapped"](log))
+    texts = {
+        known: str(check_quality(robot, [swapped], predicted=lambda known=known: known)) for known in (True, False)
+    }
+    assert {known: "look swapped" in text for known, text in texts.items()} == {True: False, False: True}
+
+
 IN_MM = {
     r"look like mm: joint_1 comes to .* m and": lambda log: {"position": 1000 * log.position, "velocity": None},
     r"0\.001 times the derivative of its position: is the position in mm": lambda log: {

@@ -1,5 +1,6 @@
 """What a healthy arm has of the effects: how much, in which form, from which logs, and what that says of others."""
 
+import tracemalloc
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -146,6 +147,20 @@ def test_work_grows_with_the_logs_and_stays_near_that_of_the_fit(plant, monkeypa
     assert two < 4.5 * fits[2]
 
 
+def test_memory_of_a_diagnosis_is_bounded_for_each_sample(plant):
+    """Do not raise the figure without a reason: a diagnosis takes 1500 bytes for a sample of a joint."""
+    logs = [record(plant, f"log {k}", k, 0.5) for k in (21, 22)]
+    model = estimate(plant.robot, logs)
+    diagnose(plant.robot, logs[:1], model)  # what is imported and kept once
+    tracemalloc.start()
+    try:
+        diagnose(plant.robot, logs, model)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 1700 * sum(log.position.size for log in logs)
+
+
 def test_only_the_first_half_minute_of_a_log_is_looked_at(monkeypatch):
     def log(last):
         return SimpleNamespace(t=np.array([5.0, 6.0, last]), between=lambda *times: SimpleNamespace(t=np.array(times)))
@@ -161,7 +176,7 @@ def test_what_an_arm_has_on_other_logs(monkeypatch):
     """Not of effects and joints that nobody knows any more, of forms that have other parameters, or `without`."""
     monkeypatch.setattr(healthy, "CATALOGUE", {"spring": "a spring", "offset": "an offset"})
 
-    def candidates(wanted):
+    def candidates(wanted, rough):
         return [SimpleNamespace(of=one, stable=one[1] != (1,), names=("a", "b")) for one in wanted]
 
     amount, value = {"b": 2.0, "a": 1.0}, {"b": (0.2, 0.04), "a": (0.1, 0.03)}

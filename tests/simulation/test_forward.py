@@ -231,6 +231,18 @@ def test_compiled_steps_equal_the_python_actuation(ns16, make_arm, stop_and_go, 
             np.testing.assert_allclose(compiled, asked, rtol=0, atol=1e-9 * np.abs(asked).max())
 
 
+def test_a_torque_from_outside_is_asked_for_or_known_of_every_sample(make_arm, stop_and_go):
+    robot = make_arm(2)
+    q, qd = stop_and_go(np.array([[0.1, -0.2], [0.4, 0.3]]), 0.6)
+    push = 3.0 * np.sin(np.arange(2 * len(q)) / 40)[:, None] * [1.0, 0.5]
+    gains, runs = ServoGains.tuned(np.ones(2), np.full(2, np.inf)), []
+    for external in (push, lambda time, q, qd: push[round(time / 0.002)]):
+        simulation = ForwardSimulation(Dynamics(robot), np.ones(2), frictionless(2), gains, external=external)
+        simulation.rest(q[0])
+        runs.append([simulation.run(q, qd).torque for _ in range(2)])
+    np.testing.assert_array_equal(*runs)
+
+
 def test_set_points_are_reached_one_period_later_and_the_state_persists(ns16, stop_and_go):
     machine = draw_machine(ns16, 1)
     gains = ServoGains.tuned(machine.typical_inertia, machine.limit)
