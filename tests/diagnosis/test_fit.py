@@ -146,7 +146,8 @@ def test_columns_are_made_once_and_anew_for_another_reference(plain):
     close(second.blocks[1] * plain.sigma[:, 1:], 1)
     assert plain.candidate(offset, (1,), {}) is second
     for chosen in ([], [first]):
-        assert plain.with_chosen(chosen).fit(offset, (1,), {}) == plain.with_chosen([*chosen, second]).values[-1]
+        alone = plain.with_chosen([*chosen, second]).values[-1]
+        assert plain.with_chosen(chosen).fit(offset, (1,), {}) == pytest.approx(alone, rel=1e-9)
     heavy, (one, two, three) = SimpleNamespace(**vars(plain.reference)), plain.signals
     loaded = plain.with_chosen(signals=[one, replace(two, reference=SimpleNamespace(payload="a load")), three])
     with patch(
