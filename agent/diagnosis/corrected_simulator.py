@@ -126,4 +126,4 @@ def _with_servos(correction: Correction, diagnosis: Diagnosis, change: np.ndarra
     gains = {g.joint for g in groups if g.kind == GAIN}
     stiffness = np.array([servos.kp[k] + (change[first + k] if k in gains else 0.0) for k in range(n)])
     delay = np.maximum(own.delay + change[-n:], 0.0)
-    return with_servos(correction, stiffness, damping, delay, servos.impedance, reasons)
+    return with_servos(correction, stiffness, damping, delay, servos.simulated, reasons)

@@ -49,6 +49,7 @@ class SimulatedArm:
     it holds a stationary joint; less: that creeps), stiffness [N·m/rad] and the rest position [rad] of the spring;
     `file_joints` are the joints' names in the file. `carrying` (n,): which body takes a change of each link. `servos`:
     those of the file's joints, or why it has none. `step` [s] and `integrator` are those of the file's physics.
+    `excluded`: pairs of bodies that collide in the file and are to pass through each other.
     """
 
     path: Path
@@ -65,6 +66,7 @@ class SimulatedArm:
     servos: PositionServos | str = "a URDF has no servos"
     step: float | None = None
     integrator: str | None = None
+    excluded: tuple[tuple[str, str], ...] = ()
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -150,7 +150,7 @@ class FreeSimulator:
 
         self._mujoco = mujoco = mujoco_package()
         self._rollout = Rollout(nthread=0).rollout
-        self.model = model = compiled(arm.path)
+        self.model = model = compiled(arm.path, arm.excluded)
         self._at = np.array([int(model.joint(name).qposadr[0]) for name in arm.file_joints])
         self._dof = np.array([int(model.joint(name).dofadr[0]) for name in arm.file_joints])
         held = np.setdiff1d(np.arange(model.nv), self._dof)
@@ -164,6 +164,22 @@ class FreeSimulator:
         self._integrator = int(model.opt.integrator)
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+
+    def colliding(self, positions: np.ndarray) -> tuple[tuple[str, str], ...]:
+        """Names of pairs of bodies that reach into each other where the joints are at `positions` (S, n)."""
+        mujoco, model = self._mujoco, self.model
+        data, pairs = mujoco.MjData(model), set()
+        for place in positions:
+            data.qpos[self._at] = place
+            mujoco.mj_fwdPosition(model, data)
+            contact = data.contact
+            for geoms in contact.geom[contact.dist < 0]:
+                pairs.add(tuple(sorted(model.body(int(model.geom_bodyid[geom])).name for geom in geoms)))
+        return tuple(sorted(pair for pair in pairs if all(pair)))
+
+    def excluding(self, pairs: tuple[tuple[str, str], ...]) -> FreeSimulator:
+        """The same arm, with pairs of bodies that pass through each other."""
+        return FreeSimulator(replace(self.arm, excluded=(*self.arm.excluded, *pairs)))
 
     def carrying(self, load: np.ndarray) -> FreeSimulator:
         """The same arm with a load: standard parameters (10,) that its link gains; as it is where no body has them."""

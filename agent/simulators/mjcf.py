@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -26,14 +27,20 @@ from agent.simulators.urdf import digits, rpy_of, set_inertial
 #: Limits of the compilation of one file: seconds of processor time, bytes of memory.
 _SECONDS, _MEMORY = 10, 4 << 30
 _COMPILE = """
-import resource, sys
-path, place, seconds, memory = sys.argv[1:]
+import json, resource, sys
+path, place, excluded, seconds, memory = sys.argv[1:]
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds)))
 resource.setrlimit(resource.RLIMIT_AS, (int(memory), int(memory)))
 import mujoco
 try:
-    mujoco.mj_saveModel(mujoco.MjModel.from_xml_path(path), place)
+    model = mujoco.MjModel.from_xml_path(path)
+    if excluded := json.loads(excluded):
+        spec = mujoco.MjSpec.from_file(path)
+        for one, other in excluded:
+            spec.add_exclude(bodyname1=one, bodyname2=other)
+        model = spec.compile()
+    mujoco.mj_saveModel(model, place)
 except Exception as error:  # MuJoCo raises ValueError, and others from its plugins
     print(error)
 """
@@ -62,8 +69,8 @@ def without_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def compiled(path: Path) -> Any:
-    """The compiled model (MjModel) of a file.
+def compiled(path: Path, excluded: Sequence[tuple[str, str]] = ()) -> Any:
+    """The compiled model (MjModel) of a file; pairs of bodies that are `excluded` do not collide.
 
     Raises:
         InputError: MuJoCo does not accept it; its own words are passed on.
@@ -71,7 +78,7 @@ def compiled(path: Path) -> Any:
     mujoco = mujoco_package()
     with tempfile.TemporaryDirectory(prefix="calibration-agent-") as folder:
         place = Path(folder) / "arm.mjb"
-        said = _compile_apart(path, place)
+        said = _compile_apart(path, place, excluded)
         if not place.is_file():
             missing = (
                 ". Files that it includes, meshes too, belong where it names them" if "opening file" in said else ""
@@ -80,13 +87,14 @@ def compiled(path: Path) -> Any:
         return mujoco.MjModel.from_binary_path(str(place))
 
 
-def _compile_apart(path: Path, place: Path) -> str:
+def _compile_apart(path: Path, place: Path, excluded: Sequence[tuple[str, str]]) -> str:
     """Compile in a separate process, which writes the model to the path `place`; return MuJoCo's messages.
 
     A few lines may ask for a hundred million bodies, and nothing ends MuJoCo on the way: the process has a limit of
     processor time and memory, and is ended with this one.
     """
-    command = [sys.executable, "-c", _COMPILE, str(path.resolve()), str(place), str(_SECONDS), str(_MEMORY)]
+    told_apart = (str(path.resolve()), str(place), json.dumps(list(excluded)), str(_SECONDS), str(_MEMORY))
+    command = [sys.executable, "-c", _COMPILE, *told_apart]
     blind = {**os.environ, "MUJOCO_GL": "disable"}  # nothing is drawn: a library for windows is not loaded
     with subprocess.Popen(command, cwd=place.parent, env=blind, stdout=-1, stderr=-3, stdin=-3) as process:
         try:

@@ -102,14 +102,40 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
         assert high > 0.069  # smooth from frame to frame, these commands would be late by half a frame more
     out = tmp_path / "fixed.xml"
     write_corrected(simulator, corrected(found, simulator), out)
-    other = recorded(source, 3, late=0.06, gain=0.7)
-    fixed = FreeSimulator(load_simulator(out, None, other.joint_names, None).arm)
-    start = (0.0, other.position[0], np.zeros(2))
-    motion = fixed.run(
-        fixed.numbers, RecordedCommand(other.t, other.reference_position, True), start, float(other.t[-1])
-    )
+    assert error_of(out, recorded(source, 3, late=0.06, gain=0.7)) < 2e-3
+
+
+def error_of(path: Path, log: Log) -> float:
+    """RMS error [rad] of the free motion of a file under the commands of a log."""
+    arm = FreeSimulator(load_simulator(path, None, log.joint_names, None).arm)
+    start = (0.0, log.position[0], np.zeros(2))
+    motion = arm.run(arm.numbers, RecordedCommand(log.t, log.reference_position, True), start, float(log.t[-1]))
     assert motion is not None
-    assert np.sqrt(np.mean((motion.at(other.t) - other.position) ** 2)) < 2e-3
+    return float(np.sqrt(np.mean((motion.at(log.t) - log.position) ** 2)))
+
+
+def test_servos_fifty_times_too_stiff_are_corrected(source, tmp_path):
+    stiff = tmp_path / "stiff.xml"
+    stiff.write_text(ARM.replace('kp="20" kv="0.5"', 'kp="1000" kv="3"'), encoding="utf-8")
+    simulator, found = found_in(stiff, [recorded(source, k, late=0.02) for k in (1, 2)])
+    out = tmp_path / "fixed.xml"
+    write_corrected(simulator, corrected(found, simulator), out)
+    assert error_of(out, recorded(source, 3, late=0.02)) < 4e-3 < 0.1 * error_of(stiff, recorded(source, 3, late=0.02))
+
+
+def test_contacts_of_a_file_where_the_arm_was_recorded_are_left_out(source, tmp_path):
+    blocked = tmp_path / "blocked.xml"
+    post = '<worldbody><body name="post" pos="0.3 0 -0.1"><geom type="box" size="0.08 0.1 0.02"/></body>'
+    fore = '<body name="fore" pos="0.2 0 0"><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.01" mass="0"/>'
+    text = ARM.replace("<worldbody>", post).replace('<body name="fore" pos="0.2 0 0">', fore)
+    blocked.write_text(text, encoding="utf-8")
+    simulator, found = found_in(blocked, [recorded(source, k, gain=0.7) for k in (1, 2)])
+    assert [cause["joints"] for cause in found.result["causes"]] == [["elbow"]]
+    assert any("fore and post" in warning for warning in found.result["warnings"])
+    out, other = tmp_path / "fixed.xml", recorded(source, 3, gain=0.7)
+    write_corrected(simulator, corrected(found, simulator), out)
+    assert '<exclude body1="fore" body2="post"' in out.read_text(encoding="utf-8")
+    assert error_of(out, other) < 2e-3 < 0.1 * error_of(blocked, other)
 
 
 def test_a_delay_is_named_next_to_numbers_that_are_all_guessed(source, tmp_path):

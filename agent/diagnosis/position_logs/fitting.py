@@ -29,7 +29,7 @@ Model = TypeVar("Model", bound=RigidFrictionModel)
 _ROUNDS, _TRIES = 30, 6  # numerical: at most, and steps that are tried in each
 _DAMPING, _STIFFER, _LOOSER = 1e-2, 5.0, 0.1  # numerical: of a step at first, after one that fails and one that gains
 _GAINED = 1e-3  # numerical: of the cost, below which a round is the last
-_LONGEST_DELAY = 0.6  # s
+LONGEST_DELAY = 0.6  # s
 USUAL_DELAY = 0.1  # s, standard deviation of a delay before the logs
 LOAD_NUMBERS = ("m0", "hx0", "hy0", "hz0")  # mass and first moments of a load at the last link
 _LOAD = len(LOAD_NUMBERS)
@@ -249,7 +249,7 @@ def _possible(table: np.ndarray, last: int, reach: float) -> np.ndarray:
     """The numbers and the load next to these that can be: none below zero, no load beyond the arm's reach."""
     possible = table.copy()
     possible[: last + 2] = np.maximum(possible[: last + 2], 0.0)
-    possible[last - last // 5 : last] = np.minimum(possible[last - last // 5 : last], _LONGEST_DELAY)
+    possible[last - last // 5 : last] = np.minimum(possible[last - last // 5 : last], LONGEST_DELAY)
     away, most = float(np.linalg.norm(possible[last + 2 :])), reach * possible[last + 1]
     possible[last + 2 :] *= min(1.0, most / away) if away > 0 else 1.0
     return possible

@@ -106,7 +106,7 @@ def assemble_positions(
         given.kp,
         USUAL_DELAY,
         file,
-        simulator.arm.impedance,
+        simulator.arm,
         added,
         load_shape(found.load[: len(LOAD_NUMBERS)]) * usual_scale(reference, found.numbers, found.stretches)[-4:],
         cut=lag if found.stretches[0].nearest < np.inf else 0.0,

@@ -11,7 +11,7 @@ with S the information of the positions, a the cause, D what the rival and the n
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -180,8 +180,13 @@ def _line(
         diagnosis.dataset, diagnosis.released.groups, diagnosis.released.moved.fit.change
     )
     numbers = ServoNumbers(*(np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay)))
-    free, begins = FreeSimulator(simulator.arm), np.append(set_points[0], np.zeros(set_points.shape[1]))
-    if diagnosis.dataset.servos is not None and np.any(diagnosis.dataset.servos.impedance > simulator.arm.impedance):
+    servos = diagnosis.dataset.servos
+    assert servos is not None
+    free, begins = (
+        FreeSimulator(replace(simulator.arm, excluded=servos.simulated.excluded)),
+        np.append(set_points[0], np.zeros(set_points.shape[1])),
+    )
+    if np.any(servos.simulated.impedance > simulator.arm.impedance):
         free = free.holding()
     command = RecordedCommand(time, set_points, True)
     stretch = CommandedStretch(len(diagnosis.dataset.logs), time, set_points, command, begins)

@@ -28,6 +28,7 @@ from agent.diagnosis.position_logs.fitting import (
 )
 from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
 from agent.diagnosis.position_logs.rows import assemble_positions
+from agent.diagnosis.position_logs.starting import error_of, free_of_contacts, numbers_by_equation
 from agent.diagnosis.rows.needs import MotionCoverage
 from agent.diagnosis.simulator_file.explanation import Explanation, explained
 from agent.model import MotionSignals, NominalModel
@@ -121,11 +122,15 @@ def _fitted(
     settling = min(lasting, _SETTLES)
     stretches, chance = stretches_of(logs, ways[0] == HELD, settling), _by_chance(1)
     scale = usual_scale(reference, file, stretches)
+    by_equation = numbers_by_equation(reference, file, stretches)
+    free = free_of_contacts(free, (file, by_equation), stretches)
     rough, fine = (Parameters.create(scale, fixed=fixed) for fixed in (("kp",), ("kp",) if known_kp else ()))
 
-    def fitted(arm: FreeSimulator) -> OutputErrorFit:
-        begin = fit_output_error(arm, reference, stretches, file, file, rough, progress, _ROUGH).numbers
-        return fit_output_error(arm, reference, stretches, file, begin, fine, progress)
+    def fitted(arm: FreeSimulator, start: ServoNumbers = file) -> OutputErrorFit:
+        begin = fit_output_error(arm, reference, stretches, file, start, rough, progress, _ROUGH).numbers
+        fit = fit_output_error(arm, reference, stretches, file, begin, fine, progress)
+        failed = start is file and error_of(arm, by_equation, stretches) < error_of(arm, fit.numbers, stretches)
+        return fitted(arm, by_equation) if failed else fit
 
     soft, firm = fitted(free), fitted(free.holding())
     bare = firm if _gains(soft, firm).sum() > chance else soft
@@ -235,6 +240,11 @@ def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -
             f"commands were cut to within {nearest:.3g} rad or m of the positions on their way, as a recorder with "
             "max_relative_target does; the logs have what was wanted"
         )
+    if pairs := fit.simulator.arm.excluded:
+        said.append(
+            f"bodies of {name} reach into each other where the arm was recorded ({_listed(pairs)}): it is simulated "
+            "without these contacts (exclude in a corrected file)"
+        )
     if np.any(fit.simulator.arm.impedance > impedance):
         said.append(
             f"friction of {name} is soft, as MuJoCo's is by default: it lets a stationary joint creep. The arm's "
@@ -246,6 +256,10 @@ def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -
             "are made from frame numbers; record real stamps"
         )
     return said
+
+
+def _listed(pairs: Sequence[tuple[str, str]]) -> str:
+    return ", ".join(" and ".join(pair) for pair in pairs)
 
 
 def _turns(signals: Sequence[MotionSignals], names: Sequence[str]) -> list[str]:

@@ -28,7 +28,7 @@ from agent.estimation import (
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR
+from agent.simulators import SIMULATOR, SimulatedArm
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +43,14 @@ class ServoParameters:
     [rad or m]: how much nearer to the positions commands may have been cut, 0 where they were not. `load` (10, 4): what
     the last link gains by a usual mass and usual first moments of a load there.
     `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
-    [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `impedance` (n,) of friction as in `SimulatedArm`.
+    [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `simulated` is the arm whose motion was compared.
     """
 
     covariance: np.ndarray
     kp: np.ndarray
     delay: float
     file: np.ndarray
-    impedance: np.ndarray
+    simulated: SimulatedArm
     added: np.ndarray
     load: np.ndarray
     cut: float = 0.0

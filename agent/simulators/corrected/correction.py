@@ -133,7 +133,7 @@ def with_servos(
     stiffness: np.ndarray,
     damping: np.ndarray,
     delay: np.ndarray,
-    impedance: np.ndarray,
+    simulated: SimulatedArm,
     reasons: Mapping[str, str],
 ) -> Correction:
     """The correction with its servos' stiffness, damping (kv) and delay (n,) changed; `reasons` by kind and joint.
@@ -143,7 +143,7 @@ def with_servos(
         stiffness: (n,) kp [N·m/rad].
         damping: (n,) kv [N·m·s/rad].
         delay: (n,) of the command [s].
-        impedance: (n,) of friction, as in `SimulatedArm`.
+        simulated: the arm whose motion was compared: how its friction holds, and which bodies do not collide.
         reasons: why, by kind and joint.
     """
     servos, released = found.arm.servos, found.released
@@ -153,9 +153,10 @@ def with_servos(
     moved = (stiffness != servos.stiffness) | (damping != servos.damping) | (delay != servos.delay)
     for k in np.flatnonzero(moved).tolist():
         released.gains[k] = reasons.get(found.arm.joint_names[k], "delay of the command")
-    for k in np.flatnonzero(impedance != found.arm.impedance).tolist():
+    for k in np.flatnonzero(simulated.impedance != found.arm.impedance).tolist():
         released.holding[k] = "friction holds the stationary joint"
-    return replace(found, arm=replace(found.arm, servos=changed, impedance=impedance))
+    arm = replace(found.arm, servos=changed, impedance=simulated.impedance, excluded=simulated.excluded)
+    return replace(found, arm=arm)
 
 
 def _spring(arm: SimulatedArm, joint: int, added: tuple[float, float]) -> tuple[float, float] | None:

@@ -184,6 +184,11 @@ class MjcfEdits:
         option = options[-1] if options else child_of(self._documents[self._source].root, "option")
         option.set("gravity", digits(*gravity))
 
+    def exclude(self, pair: tuple[str, str]) -> None:
+        """Let two bodies pass through each other."""
+        contact = child_of(self._documents[self._source].root, "contact")
+        SubElement(contact, "exclude", body1=pair[0], body2=pair[1])
+
     def move_zero(self, k: int, offset: float) -> tuple[float, float]:
         """Move a joint's zero by `offset` [rad or m]; returns its `ref`, old and new."""
         joint, unit = self._joint(k), self._unit(k)
