@@ -170,6 +170,8 @@ class DiagnosisResult:
     servo: Mapping[str, tuple[tuple[float, float, float] | None, ...]] | None = None
     #: What sets the scale of these numbers: gravity of known masses, a known kp, or nothing.
     scale_from: str | None = None
+    #: The same of damping, armature and friction over kp, where the kp of a joint is not told; None: nothing is.
+    servo_over_kp: Mapping[str, tuple[tuple[float, float, float] | None, ...]] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""
@@ -177,7 +179,7 @@ class DiagnosisResult:
         data["causes"] = [_unless(cause, {"closure_of_joints": None, "slides": False}) for cause in data["causes"]]
         data["gap"] = _unless(data["gap"], {"of": "torque"})
         usual: dict[str, Any] = {"waterfall": [], "rejected": [], "remainder": [], "model_error": None}
-        return _unless(data, {**usual, "servo": None, "scale_from": None})
+        return _unless(data, {**usual, "servo": None, "scale_from": None, "servo_over_kp": None})
 
 
 def _unless(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from .calibration.runs import (
     calibration_report as calibration_report,
     recalibration_report as recalibration_report,
 )
+from .diagnosis.free_motion import RATIO_TITLES as RATIO_TITLES
 from .diagnosis.page import diagnosis_report as diagnosis_report
 from .elements import (
     About as About,

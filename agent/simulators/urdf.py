@@ -208,6 +208,11 @@ def child_of(element: Element, name: str) -> Element:
     return SubElement(element, name) if child is None else child
 
 
+def let_pass(root: Element, pair: tuple[str, str]) -> None:
+    """Exclude contacts of two bodies of an MJCF."""
+    SubElement(child_of(root, "contact"), "exclude", body1=pair[0], body2=pair[1])
+
+
 def end_of(joint: Element, which: str) -> str:
     """The link at a joint's `parent` or `child`; empty if missing."""
     element = joint.find(which)

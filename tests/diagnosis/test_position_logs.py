@@ -118,6 +118,12 @@ def test_servos_fifty_times_too_stiff_are_corrected(source, tmp_path):
     stiff = tmp_path / "stiff.xml"
     stiff.write_text(ARM.replace('kp="20" kv="0.5"', 'kp="1000" kv="3"'), encoding="utf-8")
     simulator, found = found_in(stiff, [recorded(source, k, late=0.02) for k in (1, 2)])
+    assert all(step["closes"] > -0.05 for step in found.result["waterfall"]), "steps are joined until they close"
+    if over_kp := found.result.get("servo_over_kp"):
+        for kind, true in (("damping", 0.8 / 20), ("friction", 0.05 / 20)):
+            assert all(entry is not None and entry[1] <= true <= entry[2] for entry in over_kp[kind])
+    else:
+        assert all(low <= 20 <= high for _, low, high in found.result["servo"]["kp"])
     out = tmp_path / "fixed.xml"
     write_corrected(simulator, corrected(found, simulator), out)
     assert error_of(out, recorded(source, 3, late=0.02)) < 4e-3 < 0.1 * error_of(stiff, recorded(source, 3, late=0.02))

@@ -58,7 +58,7 @@ def numbers_by_equation(
     for delay in np.arange(0.0, LONGEST_DELAY, frame / 2):
         asked = np.concatenate([_asked(stretch, np.full(n, delay)) for stretch in stretches])
         solved = [nnls(terms[:, k], asked[:, k]) for k in range(n)]
-        error = float(np.sum(np.log([max(left, np.finfo(float).tiny) for _, left in solved])))
+        error = float(np.sum(np.log([max(norm, np.finfo(float).tiny) for _, norm in solved])))
         if error < best:
             ratios = np.array([values for values, _ in solved])
             told = ratios[:, 0] > 0

@@ -288,6 +288,8 @@ def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
 def waterfall(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
     """Part of the held-out gap that each released group, then each effect, closes: alone, and in the order found.
 
+    Where a simulator is far off, a number alone may make the rest worse: steps are one until they close something.
+
     Of a model that nothing is released of, the effects come first, with its numbers as they are. What its own
     parameters close after that, within their stored uncertainty and also on other joints, is a step of its own.
 
@@ -322,24 +324,29 @@ def waterfall(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGa
     whole = energy.sum(axis=1) / rows.sum()
     drawn = energy @ draws.T / (rows @ draws.T)  # (stages, draws)
 
-    def parts(values: np.ndarray) -> np.ndarray:
-        """Closed by each step alone, by each in order, and what remains, of values (stages, …)."""
-        size, steps = values[0] - floor, len(texts)
-        ordered = (values[:steps] - values[1 : steps + 1]) / size
-        return np.concatenate([(values[0] - values[steps + 1 :]) / size, ordered, [1 - ordered.sum(axis=0)]])
+    size, drawn = whole[0] - floor, drawn[:, drawn[0] > floor]
+    count, at, steps = len(texts), 0, []
 
-    closes, drawn_parts = parts(whole), parts(drawn[:, drawn[0] > floor])
-    low, high = np.quantile(drawn_parts, (1 - LAW.certain, LAW.certain), axis=1)
-    count = len(texts)
-    return tuple(
-        WaterfallStep(
-            text,
-            float(closes[count + k]),
-            float(closes[k]) if k < count else None,
-            (float(low[count + k]), float(high[count + k])),
-        )
-        for k, text in enumerate([*texts, REMAINDER])
-    )
+    def closing(begin: int, end: int) -> tuple[float, tuple[float, float]]:
+        """Part of the gap that is closed between two stages, and its interval."""
+        drawn_parts = (drawn[begin] - drawn[end]) / (drawn[0] - floor)
+        low, high = np.quantile(drawn_parts, (1 - LAW.certain, LAW.certain))
+        return float((whole[begin] - whole[end]) / size), (float(low), float(high))
+
+    while at < count:
+        ends = range(at + 1, count + 1)
+        end = next((end for end in ends if closing(at, end)[1][1] >= 0), count)
+        by_itself = float((whole[0] - whole[count + end]) / size)
+        steps.append(WaterfallStep(_joined(texts[at:end]), closing(at, end)[0], by_itself, closing(at, end)[1]))
+        at = end
+    if len(steps) < count:
+        steps = [replace(step, alone=None) for step in steps]
+    closed, (low, high) = closing(0, count)
+    return (*steps, WaterfallStep(REMAINDER, 1 - closed, None, (1 - high, 1 - low)))
+
+
+def _joined(texts: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(texts[:-1]), texts[-1]) if part)
 
 
 def _absorbed(gap: HeldOutGap, fit: Fit) -> float:

@@ -47,8 +47,9 @@ def servo_table(found: Explanation) -> dict[str, Any]:
 
     The interval is the wider of the posterior's with all drives free, and of what leaving motions out, and halves of
     them, gives (delete-a-group jackknife), about the value and that with all drives free: a number that was left as
-    the file has it is no better known than one that was not. A joint whose gain positions do not tell has ratios only,
-    and no numbers.
+    the file has it is no better known than one that was not. A joint whose gain positions do not tell has no numbers.
+    What is told of it, `servo_over_kp`, is there if any has none: damping [s], armature [s²] and friction [rad] over
+    kp.
 
     A simulation in steps of h does not tell more: a command arrives within ± h / 2, and damping d is worth ± h d / 2 of
     inertia, by whether it is implicit or explicit in it.
@@ -64,11 +65,26 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
         table[kind] = tuple(
-            None if kind != "delay_s" and k in doubtful else (float(row[k]), float(max(least[k], 0.0)), float(most[k]))
+            None if kind != "delay_s" and k in doubtful else _not_negative(row[k], least[k], most[k])
             for k in range(len(names))
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
-    return {"servo": table, "scale_from": scale}
+    told: dict[str, Any] = {"servo": table, "scale_from": scale}
+    if doubtful:
+        ratios = np.stack(_intervals(found, _over_gain), axis=2)
+        told["servo_over_kp"] = {
+            kind: tuple(
+                _not_negative(*ratios[SERVO_NUMBERS.index(kind), k]) if values[0, k] > 0 else None
+                for k in range(len(names))
+            )
+            for kind in _RATIOS
+        }
+    return told
+
+
+def _not_negative(value: float, low: float, high: float) -> tuple[float, float, float]:
+    """A number and its interval, of which nothing is below zero."""
+    return max(float(value), 0.0), max(float(low), 0.0), max(float(high), 0.0)
 
 
 def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:

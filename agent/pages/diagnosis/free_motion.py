@@ -17,6 +17,8 @@ _SCALE = {
     "kp": "The kp of the file, which is said to be right, sets the scale of these numbers.",
     "none": "Nothing sets the scale: positions tell ratios to kp only.",
 }
+#: Titles of numbers over kp, by kind.
+RATIO_TITLES = {"damping": "damping / kp [s]", "armature": "armature / kp [s²]", "friction": "friction / kp [rad]"}
 
 
 def motion_section(diagnosis: Diagnosis, result: Mapping[str, Any]) -> Section | None:
@@ -39,11 +41,18 @@ def motion_section(diagnosis: Diagnosis, result: Mapping[str, Any]) -> Section |
         "The simulator ran under the recorded command; these are the positions that it reached and that were measured.",
         _SCALE[result["scale_from"]],
     ]
-    if any(value is None for kind in kinds for value in result["servo"][kind]):
+    tables = [table]
+    if over_kp := result.get("servo_over_kp"):
         text.append(
-            "Class only: positions tell the joint's friction, damping and armature over its kp, not each alone."
+            "Class only: positions tell the joint's friction, damping and armature over its kp, not each alone. With "
+            "any kp and these ratios to it, the simulator moves as the arm does."
         )
-    return Section("The simulator's motion", text, [errors, _motions(diagnosis), table])
+        ratios = [
+            (joint, *(_number(kind, row[k], "not told") for kind, row in over_kp.items()))
+            for k, joint in enumerate(gap["joints"])
+        ]
+        tables.append(Table("servo-ratios", ("joint", *(RATIO_TITLES[kind] for kind in over_kp)), ratios))
+    return Section("The simulator's motion", text, [errors, _motions(diagnosis), *tables])
 
 
 def _motions(diagnosis: Diagnosis) -> Plot:
@@ -71,8 +80,8 @@ def _angle(value: float, unit: str) -> str:
     return f"{np.degrees(value):.3f}°" if unit == "rad" else f"{1e3 * value:.3f} mm"
 
 
-def _number(kind: str, entry: Any) -> str:
+def _number(kind: str, entry: Any, otherwise: str = "class only") -> str:
     if entry is None:
-        return "class only"
+        return otherwise
     scale = 1e3 if kind == "delay_s" else 1.0
     return plus_minus(scale * entry[0], scale * (entry[2] - entry[1]) / 2)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from shutil import get_terminal_size
-from textwrap import fill
+from textwrap import fill, wrap
 from typing import Any
 
 from agent.core import counted, plus_minus
 from agent.diagnosis import forward_lines, reported_parameters, size_text, torque_gap
-from agent.pages import SUMMARY_KEYS, chances_text, next_text, place, summary, verdict_name
+from agent.pages import RATIO_TITLES, SUMMARY_KEYS, chances_text, next_text, place, summary, verdict_name
 from agent.robot import SHARE, figure_text
+
+_WIDEST = 60  # characters of a step of the attribution in a line
 
 
 def diagnosis_text(result: dict[str, Any]) -> str:
@@ -109,11 +111,18 @@ def _servo_lines(result: dict[str, Any]) -> Iterator[str]:
     for k, name in enumerate(names):
         cells = []
         for kind, row in table.items():
-            scaled = 1e3 if kind == "delay_s" else 1.0
-            cells.append(
-                "class only" if row[k] is None else plus_minus(scaled * row[k][0], scaled * (row[k][2] - row[k][1]) / 2)
-            )
+            cells.append(_number(row[k], 1e3 if kind == "delay_s" else 1.0, "class only"))
         yield f"{name:{width}} " + " ".join(f"{cell:>16}" for cell in cells)
+    if over_kp := result.get("servo_over_kp"):
+        yield "over kp: with any kp and these ratios to it, the simulator moves as the arm does"
+        yield f"{'joint':{width}} " + " ".join(f"{RATIO_TITLES[kind]:>22}" for kind in over_kp)
+        for k, name in enumerate(names):
+            cells = [_number(row[k], 1.0, "not told") for row in over_kp.values()]
+            yield f"{name:{width}} " + " ".join(f"{cell:>22}" for cell in cells)
+
+
+def _number(entry: Sequence[float] | None, scale: float, otherwise: str) -> str:
+    return otherwise if entry is None else plus_minus(scale * entry[0], scale * (entry[2] - entry[1]) / 2)
 
 
 def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -121,10 +130,12 @@ def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
     if not steps:
         return
     yield "what each step closes of the gap on held-out motion (90 % interval), and alone"
-    width = max(len(entry["step"]) for entry in steps)
-    for entry in steps:
+    texts = [wrap(entry["step"], _WIDEST) for entry in steps]
+    width = max(len(line) for lines in texts for line in lines)
+    for entry, (*above, last) in zip(steps, texts, strict=True):
+        yield from (f"  {line}" for line in above)
         closes, (low, high) = 100 * entry["closes"], entry["interval"]
         alone = "" if entry["alone"] is None else f"{100 * entry['alone']:6.1f} %"
         bar = "#" * round(min(max(closes, 0), 100) * 0.3)
         inside = f"({100 * low:5.1f} to {100 * high:5.1f})"
-        yield f"  {entry['step']:{width}} {closes:6.1f} % {inside} {alone:>9}  {bar}".rstrip()
+        yield f"  {last:{width}} {closes:6.1f} % {inside} {alone:>9}  {bar}".rstrip()

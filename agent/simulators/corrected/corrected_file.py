@@ -12,7 +12,6 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ _LEAST = 1e-12  # relative, that a number changes
 
 
 #: One changed value: element, attribute, old and new value (SI), and the reason.
-Change = dict[str, str | float | list[Any]]
+Change = dict[str, str | float | list[float]]
 
 
 def written_files(out: Path) -> tuple[Path, Path]:
@@ -114,13 +113,15 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[C
     for pair in after.excluded:
         assert isinstance(edits, MjcfEdits)
         edits.exclude(pair)
-        yield _change("contact", "exclude", [], [*pair], "the bodies reach into each other where the arm was recorded")
+        yield _change(
+            " and ".join(pair), "exclude", 0.0, 1.0, "the bodies reach into each other where the arm was recorded"
+        )
     if before.robot.gravity != after.robot.gravity:
         edits.set_gravity(after.robot.gravity)
         yield _change("option", "gravity", list(before.robot.gravity), list(after.robot.gravity), released.gravity)
 
 
-def _change(element: str, attribute: str, old: float | list[Any], new: float | list[Any], reason: str) -> Change:
+def _change(element: str, attribute: str, old: float | list[float], new: float | list[float], reason: str) -> Change:
     return {"element": element, "attribute": attribute, "old": old, "new": new, "reason": reason}
 
 

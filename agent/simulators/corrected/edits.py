@@ -15,7 +15,7 @@ import numpy as np
 from agent.core import LARGEST_ROBOT_FILE, InputError, read_bytes
 from agent.simulators.arm import SimulatedArm
 from agent.simulators.corrected.xml_document import XmlDocument
-from agent.simulators.urdf import child_of, digits, mjcf_inertial, move_zero, rpy_of, set_inertial
+from agent.simulators.urdf import child_of, digits, let_pass, mjcf_inertial, move_zero, rpy_of, set_inertial
 
 _NO_BODY = ("equality", "fixed", "default", "sensor", "actuator", "custom", "tendon")
 _ORIENTATION = ("quat", "euler", "axisangle", "xyaxes", "zaxis", "diaginertia")
@@ -186,8 +186,7 @@ class MjcfEdits:
 
     def exclude(self, pair: tuple[str, str]) -> None:
         """Let two bodies pass through each other."""
-        contact = child_of(self._documents[self._source].root, "contact")
-        SubElement(contact, "exclude", body1=pair[0], body2=pair[1])
+        let_pass(self._documents[self._source].root, pair)
 
     def move_zero(self, k: int, offset: float) -> tuple[float, float]:
         """Move a joint's zero by `offset` [rad or m]; returns its `ref`, old and new."""
