@@ -170,8 +170,8 @@ class DiagnosisResult:
     servo: Mapping[str, tuple[tuple[float, float, float] | None, ...]] | None = None
     #: What sets the scale of these numbers: gravity of known masses, a known kp, or nothing.
     scale_from: str | None = None
-    #: The same of damping, armature and friction over kp, where the kp of a joint is not told; None: nothing is.
-    servo_over_kp: Mapping[str, tuple[tuple[float, float, float] | None, ...]] | None = None
+    #: The same of damping, armature and friction over kp, where the kp of a joint is not told.
+    servo_over_kp: Mapping[str, tuple[tuple[float, float, float], ...]] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""

@@ -121,7 +121,7 @@ def test_servos_fifty_times_too_stiff_are_corrected(source, tmp_path):
     assert all(step["closes"] > -0.05 for step in found.result["waterfall"]), "steps are joined until they close"
     if over_kp := found.result.get("servo_over_kp"):
         for kind, true in (("damping", 0.8 / 20), ("friction", 0.05 / 20)):
-            assert all(entry is not None and entry[1] <= true <= entry[2] for entry in over_kp[kind])
+            assert all(low <= true <= high for _, low, high in over_kp[kind])
     else:
         assert all(low <= 20 <= high for _, low, high in found.result["servo"]["kp"])
     out = tmp_path / "fixed.xml"

@@ -22,10 +22,10 @@ def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, 
     Intervals are of numbers where gains are `told`, else of their ratios to the gain.
     """
 
-    def given(found, form):
-        values = form(FILE)
+    def given(found, over_gain=False):
+        values = servo_table._over_gain(FILE) if over_gain else FILE
         low, high = 0.9 * values, 1.1 * values
-        if told == (form is np.asarray):
+        if told != over_gain:
             for kind, (least, most) in intervals.items():
                 row = servo_table.SERVO_NUMBERS.index(kind)
                 low[row, 0], high[row, 0] = least * values[row, 0], most * values[row, 0]

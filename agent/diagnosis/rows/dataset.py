@@ -39,7 +39,8 @@ class ServoParameters:
     Damping d bends with speed by b: the torque is d v + b v |v|. No file of a simulator has b.
 
     `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
-    one; `file` (5, n) the file's kp, damping, armature, friction and delay. `kp_known`: the file's kp are right. `cut`
+    one; `file` (5, n) the file's kp, damping, armature, friction and delay, `about` those that rows are linear about.
+    `kp_known`: the file's kp are right. `cut`
     [rad or m]: how much nearer to the positions commands may have been cut, 0 where they were not. `load` (10, 4): what
     the last link gains by a usual mass and usual first moments of a load there.
     `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
@@ -50,6 +51,7 @@ class ServoParameters:
     kp: np.ndarray
     delay: float
     file: np.ndarray
+    about: np.ndarray
     simulated: SimulatedArm
     added: np.ndarray
     load: np.ndarray

@@ -27,6 +27,7 @@ from agent.model import CATALOGUE
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
 #: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
 _NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay_s",)}
+_LEAST_GAIN = 1e-9  # numerical: N·m/rad
 _RATIOS = ("damping", "armature", "friction")
 
 
@@ -38,7 +39,7 @@ def doubtful_gains(found: Explanation) -> tuple[int, ...]:
     """
     if found.dataset.servos is None:
         return ()
-    values, low, high = _intervals(found, np.asarray)
+    values, low, high = _intervals(found)
     return tuple(np.flatnonzero(high[0] - low[0] > 2 * (LIMITS.alike - 1) * values[0]).tolist())
 
 
@@ -58,7 +59,7 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     servos = dataset.servos
     assert servos is not None
     doubtful = doubtful_gains(found)
-    values, low, high = _intervals(found, np.asarray)
+    values, low, high = _intervals(found)
     of_step = 0.5 * servos.step * values[1]
     low[SERVO_NUMBERS.index("armature")] -= of_step
     high[SERVO_NUMBERS.index("armature")] += of_step
@@ -71,13 +72,9 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
     told: dict[str, Any] = {"servo": table, "scale_from": scale}
     if doubtful:
-        ratios = np.stack(_intervals(found, _over_gain), axis=2)
+        ratios = np.stack(_intervals(found, over_gain=True), axis=2)
         told["servo_over_kp"] = {
-            kind: tuple(
-                _not_negative(*ratios[SERVO_NUMBERS.index(kind), k]) if values[0, k] > 0 else None
-                for k in range(len(names))
-            )
-            for kind in _RATIOS
+            kind: tuple(_not_negative(*row) for row in ratios[SERVO_NUMBERS.index(kind)]) for kind in _RATIOS
         }
     return told
 
@@ -87,14 +84,23 @@ def _not_negative(value: float, low: float, high: float) -> tuple[float, float, 
     return max(float(value), 0.0), max(float(low), 0.0), max(float(high), 0.0)
 
 
-def _intervals(explanation: Explanation, form: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, ...]:
-    """(5, n) value, low and high of a `form` of the numbers (5, n), linear about those with all drives free, and links
-    that moved.
+def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.ndarray, ...]:
+    """(5, n) value, low and high of the numbers, with all drives free and links that moved.
 
-    The delay's holds both ways in which the command may have been held.
+    The delay's holds both ways in which the command may have been held. Numbers over the gain of their joint are
+    x / k ≈ r + (Δx - r Δk) / k about those that the rows are linear about, so that any gain along them is one ratio.
     """
     dataset, fit = explanation.dataset, explanation.selected.fit
     assert dataset.servos is not None
+    about = dataset.servos.about
+
+    def form(numbers: np.ndarray) -> np.ndarray:
+        if not over_gain:
+            return numbers
+        ratios, change = _over_gain(about), numbers - about
+        moved = (change[:-1] - ratios[:-1] * change[0]) / np.maximum(about[0], _LEAST_GAIN)
+        return np.concatenate([ratios[:-1] + moved, numbers[-1:]])
+
     values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0])
     drives = [*drive_groups(dataset), *(group for group in explanation.released.groups if group.moves_links)]
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
@@ -124,12 +130,12 @@ def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
     doubtful, file = doubtful_gains(found), dataset.servos.file
     usual = LIMITS.least_error * _whole_torque(dataset)
 
-    def holds(form: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-        _, low, high = _intervals(found, form)
+    def holds(form: Callable[[np.ndarray], np.ndarray], over_gain: bool) -> np.ndarray:
+        _, low, high = _intervals(found, over_gain)
         more = np.abs(form(file + usual) - form(file))
         return np.asarray((low - more <= form(file)) & (form(file) <= high + more))
 
-    told, as_ratio = holds(np.asarray), holds(_over_gain)
+    told, as_ratio = holds(np.asarray, over_gain=False), holds(_over_gain, over_gain=True)
 
     def differs(cause: Cause) -> bool:
         numbers = CATALOGUE[cause.effect].numbers
@@ -147,7 +153,7 @@ def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
 
 def _over_gain(numbers: np.ndarray) -> np.ndarray:
     """Numbers (5, n) but the delay over the gain of their joint."""
-    return np.concatenate([numbers[:-1] / np.maximum(numbers[0], 1e-9), numbers[-1:]])
+    return np.concatenate([numbers[:-1] / np.maximum(numbers[0], _LEAST_GAIN), numbers[-1:]])
 
 
 def _whole_torque(dataset: Dataset) -> np.ndarray:

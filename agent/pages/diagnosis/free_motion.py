@@ -48,8 +48,7 @@ def motion_section(diagnosis: Diagnosis, result: Mapping[str, Any]) -> Section |
             "any kp and these ratios to it, the simulator moves as the arm does."
         )
         ratios = [
-            (joint, *(_number(kind, row[k], "not told") for kind, row in over_kp.items()))
-            for k, joint in enumerate(gap["joints"])
+            (joint, *(_number(kind, row[k]) for kind, row in over_kp.items())) for k, joint in enumerate(gap["joints"])
         ]
         tables.append(Table("servo-ratios", ("joint", *(RATIO_TITLES[kind] for kind in over_kp)), ratios))
     return Section("The simulator's motion", text, [errors, _motions(diagnosis), *tables])
@@ -80,8 +79,8 @@ def _angle(value: float, unit: str) -> str:
     return f"{np.degrees(value):.3f}°" if unit == "rad" else f"{1e3 * value:.3f} mm"
 
 
-def _number(kind: str, entry: Any, otherwise: str = "class only") -> str:
+def _number(kind: str, entry: Any) -> str:
     if entry is None:
-        return otherwise
+        return "class only"
     scale = 1e3 if kind == "delay_s" else 1.0
     return plus_minus(scale * entry[0], scale * (entry[2] - entry[1]) / 2)

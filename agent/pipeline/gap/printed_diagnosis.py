@@ -111,18 +111,18 @@ def _servo_lines(result: dict[str, Any]) -> Iterator[str]:
     for k, name in enumerate(names):
         cells = []
         for kind, row in table.items():
-            cells.append(_number(row[k], 1e3 if kind == "delay_s" else 1.0, "class only"))
+            cells.append(_number(row[k], 1e3 if kind == "delay_s" else 1.0))
         yield f"{name:{width}} " + " ".join(f"{cell:>16}" for cell in cells)
     if over_kp := result.get("servo_over_kp"):
         yield "over kp: with any kp and these ratios to it, the simulator moves as the arm does"
         yield f"{'joint':{width}} " + " ".join(f"{RATIO_TITLES[kind]:>22}" for kind in over_kp)
         for k, name in enumerate(names):
-            cells = [_number(row[k], 1.0, "not told") for row in over_kp.values()]
+            cells = [_number(row[k], 1.0) for row in over_kp.values()]
             yield f"{name:{width}} " + " ".join(f"{cell:>22}" for cell in cells)
 
 
-def _number(entry: Sequence[float] | None, scale: float, otherwise: str) -> str:
-    return otherwise if entry is None else plus_minus(scale * entry[0], scale * (entry[2] - entry[1]) / 2)
+def _number(entry: Sequence[float] | None, scale: float) -> str:
+    return "class only" if entry is None else plus_minus(scale * entry[0], scale * (entry[2] - entry[1]) / 2)
 
 
 def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
