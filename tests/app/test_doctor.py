@@ -56,6 +56,46 @@ def test_a_missing_required_package_is_a_problem(lacking, tmp_path: Path, instal
     assert doctor.examine_installation(tmp_path).exit_code == 1
 
 
+@pytest.mark.parametrize(
+    ("packages", "environ", "says"),
+    [
+        ((), {}, ["source it first"]),
+        (
+            ("rclpy",),
+            {},
+            [
+                "not sourced",
+                "rmw_fastrtps_cpp (default)",
+                "recipe's address",
+                "SUBNET (default)",
+                "control_msgs is missing",
+            ],
+        ),
+        (
+            ("rclpy", "control_msgs"),
+            {
+                "ROS_DISTRO": "jazzy",
+                "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
+                "ROS_DOMAIN_ID": "42",
+                "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            },
+            ["distribution jazzy, RMW rmw_cyclonedds_cpp, domain 42, discovery range LOCALHOST"],
+        ),
+    ],
+    ids=["none", "without control_msgs", "sourced"],
+)
+def test_says_what_ros_2_is_here(monkeypatch, tmp_path: Path, packages, environ, says):
+    for name in [name for name in os.environ if name.startswith(("ROS_", "RMW_"))]:
+        monkeypatch.delenv(name)
+    for name, value in environ.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(doctor, "find_spec", lambda name: name in packages or None)
+    ok, message = _messages(tmp_path)["ros 2"]
+    assert ok
+    assert all(text in message for text in says)
+    assert ("control_msgs is missing" in message) is (packages == ("rclpy",))
+
+
 def test_a_full_disk_is_a_problem(monkeypatch, tmp_path: Path):
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9 - 10**6, 10**6))
     ok, message = _messages(tmp_path / "none" / "yet")["disk"]

@@ -530,6 +530,17 @@ def test_a_goal_that_somebody_cancels_is_told(at):
     assert not arm.speed.any()
 
 
+def test_a_goal_that_somebody_cancels_is_told_where_the_guard_sees_it_first():
+    arm = Arm(True)
+    arm.run_program(HEADER + goal(way=0.3, seconds=4.0))
+    arm.run(1.5)
+    arm.motion.brake()
+    arm.controller.cancel()
+    arm.run(2.0, until_over=True)
+    with pytest.raises(MotionStopped, match="somebody cancelled it"):
+        blocks_of(arm)
+
+
 def test_an_arm_whose_goal_another_client_replaced_is_braked():
     """The controller does not hold it: it moves on, to where the other one wants it."""
     arm = Arm(True)

@@ -310,12 +310,8 @@ class Ros2Motion(SampleStream):
     def _held(self) -> None:
         """The controller has ended the goal by itself, and holds, unless something else moves the arm now."""
         assert self._result is not None
-        code, text = self._result
-        why = MotionStopped(
-            f"the controller ended the goal: {_CODES.get(code, f'error {code}')}{f' ({text})' if text else ''}; the "
-            "arm was stopped: look for the cause, then run the command again"
-        )
-        if code == _REPLACED:
+        why = _ended_by(*self._result)
+        if self._result[0] == _REPLACED:
             return self.brake(why)
         self._why = self._why or why
         self._phase, self._braked = "braking", self._clock()
@@ -380,8 +376,12 @@ class Ros2Motion(SampleStream):
 
     def _ended(self, number: int, code: int, text: str) -> None:
         with self._lock:
-            if number == self.goals_sent and self._braked is None:
+            if number != self.goals_sent or self._cancelled:
+                return
+            if self._braked is None:
                 self._result = code, text
+            elif code:  # by the controller itself, and the guard saw what followed first
+                self._why = self._why or _ended_by(code, text)
 
     def _stands(self) -> bool:
         times = [stamp for stamp, _ in self._recent]
@@ -469,3 +469,10 @@ class Ros2Motion(SampleStream):
             time.time(),
             None if self._torque is None else effort,
         )
+
+
+def _ended_by(code: int, text: str) -> MotionStopped:
+    what = _CODES.get(code, f"error {code}") + (f" ({text})" if text else "")
+    return MotionStopped(
+        f"the controller ended the goal: {what}; the arm was stopped: look for the cause, then run the command again"
+    )
