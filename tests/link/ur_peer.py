@@ -129,12 +129,12 @@ class UrPeer:
         with self._lock:
             self._primaries.append(client)
         self._say(16, struct.pack(">iBQ?", 4 + 1 + 9, 0, 0, self.real))
-        text = b""
+        text, stop = b"", b"stop program\n"
         while data := client.recv(65536):
             text += data
-            if text == b"stop program\n":
+            while text.startswith(stop):  # what is sent next may come with it
                 self._answer("stop")
-                text = b""
+                text = text.removeprefix(stop)
             if b"\nend\n" in text:
                 script, text = text.decode(), b""
                 if script.startswith("sec "):
