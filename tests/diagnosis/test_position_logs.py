@@ -16,7 +16,7 @@ from agent.recording import HOLD, Log, write_log
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, load_simulator, write_corrected
 
 mujoco = pytest.importorskip("mujoco")
-RATE, SECONDS, STEP = 50.0, 10.0, 0.002
+RATE, SECONDS, STEP = 50.0, 6.0, 0.002
 ARM = """<mujoco model="hobby"><option timestep="0.002" integrator="implicitfast"/>
   <default><joint armature="0.03" damping="0.3" frictionloss="0.05"/>
     <position kp="20" kv="0.5" forcerange="-3 3"/></default>
