@@ -71,7 +71,7 @@ def test_uneven_sampling_is_kept_and_reported(log_at):
     assert repair(log, "uneven intervals").count > 1000
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.verify) for seed in range(2, 6))])
 @pytest.mark.parametrize("rate", [250.0, 800.0, 2000.0])
 def test_keeps_plausible_uneven_stamps_with_rounded_positions(log_at, rate, seed):
     """Correlated intervals of 0.7 to 2.1 periods, counted in tenths, keep no grid though they vary about one value."""
