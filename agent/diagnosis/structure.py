@@ -61,6 +61,7 @@ def with_structure(
         changed,
         held_out_rmse=model.held_out_rmse * (after / before),
         group_rmse=None if model.group_rmse is None else model.group_rmse * (after / before),
+        sliding_rmse=None if model.sliding_rmse is None else model.sliding_rmse * (after / before),
     )
     return _noted(
         changed,

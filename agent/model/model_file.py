@@ -98,6 +98,7 @@ class ModelDocument(_Part):
     held_out_rmse: list[_Size]
     group_rmse: list[list[_Size]] | None = None
     standstill_speed: list[_Size] | None = None
+    sliding_rmse: list[_Size] | None = None
     condition_number: float | None
     prior: _Prior | None = None
     notes: list[str]
@@ -127,6 +128,7 @@ def check_model(model: RigidFrictionModel) -> None:
         "standard_parameters": (model.standard, (size,)),
         "group_rmse": (model.group_rmse, (2, n)),
         "standstill_speed": (model.standstill_speed, (n,)),
+        "sliding_rmse": (model.sliding_rmse, (n,)),
         **({} if model.prior is None else {f"prior.{key}": (array, (p,)) for key, array in vars(model.prior).items()}),
     }
     if (model.group_rmse is None) != (model.standstill_speed is None):

@@ -66,7 +66,7 @@ def test_what_the_arm_has_is_no_fault_on_a_faster_motion(plant, model, more, nam
     assert {cause["effect"] for cause in diagnose(plant.robot, [log], model).result["causes"]} == named
 
 
-@pytest.mark.parametrize(("like", "named"), [((1, 2), []), ((2,), ["torque_offset"])])
+@pytest.mark.parametrize(("like", "named"), [((1, 2), False), ((2,), True)])
 def test_what_most_joints_have_is_no_fault_on_one_that_has_not_shown_it(like, named):
     """Joints whose torque is shifted anew in every log, and a log with a shift of the first joint."""
     plant = Plant(make_arm("RRR"), seed=3)
@@ -77,7 +77,9 @@ def test_what_most_joints_have_is_no_fault_on_one_that_has_not_shown_it(like, na
     model = with_healthy_effects(estimate(plant.robot, logs), logs)
     judged = record(plant, "judged", 31, 0.5)
     judged = replace(judged, effort=judged.effort + [2 * OFFSET, 0.0, 0.0])
-    assert [cause["effect"] for cause in diagnose(plant.robot, [judged], model).result["causes"]] == named
+    causes = diagnose(plant.robot, [judged], model).result["causes"]
+    assert bool(causes) == named
+    assert all("torque_offset" in {e["effect"] for e in (c, *c["equivalent_to"])} for c in causes)
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,8 @@ class Written:
         self.log, self.base = np.repeat([0, 1], [60, 50]), self.sigma.min(axis=1)
         self.columns, self.effects = whole[..., :5].reshape(-1, 5), [whole[..., span] for span in spans]
         self.size = [np.sqrt(np.mean((one * self.sigma[..., None]) ** 2, axis=1)) for one in self.effects]  # N·m
-        learned, covariance = fit.given and fit.reference.model.method != SIMULATOR, np.linalg.inv(fit.precision)
+        self.learned = learned = fit.given and fit.reference.model.method != SIMULATOR
+        covariance = np.linalg.inv(fit.precision)
         self.friction = [2] if learned else []  # not the offset, and not what is zero
         self.prior = covariance.copy()
         self.prior[self.friction, self.friction] += (THE_LAW.daily * fit.reference.model.values[self.friction]) ** 2
@@ -92,7 +93,9 @@ class Written:
         """(2 S, 2 S) covariance of errors and noise model."""
         unit, found = NOMINAL / self.base, np.zeros((2, ROWS, 2, ROWS))
         for j, (common, of_log) in enumerate(zip(self.common, self.of_log, strict=True)):
-            variance = scales[j] * THE_LAW.systematic**2 + (THE_LAW.drift * unit[j]) ** 2 + THE_LAW.form**2 * form[j]
+            known = max(scales[j], 1) if self.learned else scales[j]
+            variance = known * THE_LAW.systematic**2 + (THE_LAW.drift * unit[j]) ** 2
+            variance += THE_LAW.form**2 * form[j]
             variance += ((free or {}).get(j, 0.0) * unit[j]) ** 2
             found[j, :, j] = variance * common @ common.T + of_log + scales[j] / WEIGHT * np.eye(ROWS)
         return found.reshape(2 * ROWS, -1)
@@ -190,7 +193,8 @@ def test_log_evidence_is_the_density_of_all_rows(case, effects, free):
     evidence, written = case
     scales = evidence.nothing.scales
     same(evidence.nothing, written.evaluate((), {}, nothing=False))
-    same(evidence.evaluate(effects, free), written.evaluate(effects, free))
+    assert evidence.evaluate(()).log_evidence == pytest.approx(evidence.nothing.log_evidence)
+    same(evidence.evaluate(effects, free), written.evaluate(effects, free, evidence.nothing.scales))
     same(evidence.evaluate(effects, free, scales), written.evaluate(effects, free, scales))
     for given in (scales, np.array([1.2, 1.5]), np.array([3.0, 0.7])):
         seen = evidence.evaluate(effects, free, given, refit=False)
@@ -204,7 +208,8 @@ def test_log_evidence_is_the_density_of_all_rows(case, effects, free):
 def test_what_a_form_adds_is_the_ratio_of_two_densities(case, effects, free):
     """At its likeliest size, with a hypothesis as it is; forms that were added since count as well."""
     evidence, written = case
-    seen, base = evidence.evaluate(effects, free), written.evaluate(effects, free)
+    scales = evidence.nothing.scales
+    seen, base = evidence.evaluate(effects, free), written.evaluate(effects, free, scales)
     for _ in range(2):
         gains, values = evidence.shortlist_gains(seen)
         for k in set(range(len(FORMS))) - set(effects):

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from agent.diagnosis import diagnose
+from agent.diagnosis import diagnose, with_healthy_effects
+from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.estimation import EstimationSettings, estimate
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording.log import Log
 from agent.robot import Dynamics, RobotDescription
 from tests.estimation.conftest import _arm, _links, _log, _multisine
@@ -45,6 +46,26 @@ def test_stiction_at_a_reversal_is_not_a_gap():
     found = diagnose(robot, [_record(robot, seed, HELD) for seed in (3, 4)], model, without=list(CATALOGUE))
     assert np.sqrt(np.mean(found.dataset.residual**2)) > 0.01 * robot.nominal_torque[0], "the error is there"
     assert found.document.verdict == "no_gap"
+
+
+def test_rows_next_to_a_reversal_are_near_a_standstill_however_fast_it_is():
+    """Between two rows that are kept the speed may pass all that is slow."""
+    robot = _arm(1)
+    logs = [_record(robot, seed, 0.0) for seed in (1, 2)]
+    dataset = assemble(robot, estimate(robot, logs, EstimationSettings.create(cutoff=20)), logs, None)
+    for number, signals in enumerate(dataset.fit.signals):
+        turns = signals.time[:-1][np.diff(np.sign(signals.qd[:, 0])) != 0]
+        time, near = dataset.time[dataset.log == number], dataset.fit.near_rest[dataset.log == number, 0]
+        assert near[np.min(np.abs(time[:, None] - turns), axis=1) < 0.04].all()
+
+
+def test_the_error_of_a_model_leaves_out_what_stiction_leaves_open():
+    """Its rows in motion include some that the filter reaches from a joint that is held."""
+    robot = _arm(1)
+    logs = [_record(robot, seed, HELD) for seed in (1, 2, 3)]
+    model = with_healthy_effects(estimate(robot, logs, EstimationSettings.create(cutoff=20)), logs)
+    assert model.sliding_rmse < 0.5 * model.group_rmse[0]
+    assert IdentifiedModel.from_dict(model.to_dict()).sliding_rmse == model.sliding_rmse
 
 
 def _beside(robot: RobotDescription, seed: int, offset: float, stuck: float | None = None) -> Log:

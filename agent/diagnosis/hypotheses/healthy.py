@@ -32,7 +32,7 @@ _INVISIBLE = 1e-9  # torque over nominal of a unit of a parameter, up to which i
 def with_healthy_effects(
     model: IdentifiedModel, baseline: Sequence[Log], held_out: Sequence[Log] = ()
 ) -> IdentifiedModel:
-    """Return the model with what the effects explain of its error while the arm is healthy.
+    """Return the model with its error in motion, and what the effects explain of that while the arm is healthy.
 
     Each log of the baseline is judged by parameters fitted to the others, and logs that were `held_out` by the model
     itself, all together. One log alone is judged by halves: they show, for one, a torque that its recorder delays.
@@ -45,6 +45,7 @@ def with_healthy_effects(
     baseline, held_out = ([_beginning(log) for log in logs] for logs in (baseline, held_out))
     if alone := len(baseline) == 1 and not held_out:
         baseline = _halves(baseline[0])
+    model = replace(model, sliding_rmse=_sliding_rmse(model, held_out, baseline))
     learned = [_judged(model, held_out)] if held_out else []
     learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
     largest: dict[HypothesisKey, tuple[float, list[HealthyEffect]]] = {}
@@ -102,8 +103,16 @@ def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candi
 def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
     """Each log under parameters that were fitted to the others."""
     fit = assemble(model.robot, model, logs, model.cutoff, refitted=True).fit
+    residual, precision = _of_others(fit, len(logs))
+    unseen = fit.with_residual(residual / fit.sigma)  # as of a model of other logs
+    fit = unseen.with_chosen(precision=np.mean(precision, axis=0), shift=np.zeros(len(precision[0])))
+    return _shown(fit, [(fit.of_log(number, precision[number]), fit.rows_of(number)) for number in range(len(logs))])
+
+
+def _of_others(fit: Fit, logs: int) -> tuple[np.ndarray, list[np.ndarray]]:
+    """(S', n) [N·m] residual of each log under parameters that were fitted to the others, and their covariances."""
     residual, precision = np.empty(fit.sigma.shape), list[np.ndarray]()
-    for number in range(len(logs)):
+    for number in range(logs):
         rows = fit.rows_of(number)
         cells = np.unique(fit.cell[rows][fit.cell[rows] >= 0])
         folds = [fold for fold in fit.folds if fold.test[cells].any()]
@@ -111,9 +120,28 @@ def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Can
             own = np.isin(fit.cell[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (fit.cell[rows] < 0)
             residual[rows][own] = fit.remaining(fit.solve(fold.train)[1])[rows][own]
         precision.append(np.linalg.inv(fit.solve(folds[0].train)[0]))
-    unseen = fit.with_residual(residual / fit.sigma)  # as of a model of other logs
-    fit = unseen.with_chosen(precision=np.mean(precision, axis=0), shift=np.zeros(len(precision[0])))
-    return _shown(fit, [(fit.of_log(number, precision[number]), fit.rows_of(number)) for number in range(len(logs))])
+    return residual, precision
+
+
+def _sliding_rmse(model: IdentifiedModel, held_out: Sequence[Log], baseline: Sequence[Log]) -> np.ndarray | None:
+    """(n,) [N·m] error of the model on logs that it has not seen, away from standstills; None where none can tell.
+
+    The fit's own error of rows in motion includes those that the filter reaches from a standstill. There stiction
+    leaves the torque open, which a diagnosis knows, so its share would make the model look worse than it is.
+    """
+    errors = []
+    if held_out:
+        dataset = assemble(model.robot, model, held_out, model.cutoff)
+        errors.append((dataset.fit, dataset.residual))
+    if len(baseline) > 1:
+        fit = assemble(model.robot, model, baseline, model.cutoff, refitted=True).fit
+        errors.append((fit, _of_others(fit, len(baseline))[0]))
+    if not errors:
+        return None
+    squares = np.concatenate([np.where(fit.near_rest, np.nan, error) ** 2 for fit, error in errors])
+    count = np.isfinite(squares).sum(axis=0)
+    sliding = np.sqrt(np.nansum(squares, axis=0) / np.maximum(count, 1))
+    return np.where(count >= LIMITS.fewest, sliding, model.held_out_rmse)
 
 
 def _shown(fit: Fit, parts: Sequence[tuple[Fit, slice]]) -> tuple[Sequence[Candidate], list[_Shown]]:

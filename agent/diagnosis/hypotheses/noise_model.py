@@ -88,6 +88,8 @@ class NoiseModel:
         usual = self._usual(candidates) if unknown else {}
         healthy = healthy or ()
         own_model = fit.given and fit.reference.model.method != SIMULATOR
+        # σ is what it errs by in other motion: less noise in these logs leaves more of that to its systematic error
+        self._least_scale = 1.0 if own_model else 0.0
         spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))
         self.known: list[np.ndarray] = []
         self.gram: list[np.ndarray] = []
@@ -128,7 +130,7 @@ class NoiseModel:
         """Prior variance of the coefficients that are common to all logs, over σ²."""
         law, unit = self.law, float(self.unit[joint])
         return (
-            scale * law.systematic**2
+            max(scale, self._least_scale) * law.systematic**2
             + (law.drift * unit) ** 2
             + min(law.form**2 * form, _FORM)
             + (free.get(joint, 0.0) * unit) ** 2

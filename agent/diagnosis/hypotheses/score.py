@@ -3,16 +3,16 @@
 All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian model:
 
     r_j = X_j δ + Z_jh β_h + U_j γ_j + e_j,    e_j ~ N(0, s_j²),    δ ~ N(δ₀, Λ⁻¹),    β_h ~ N(0, size² / rms²),
-    γ_j ~ N(0, s_j² g² + drift² + form² τ_jh² + free_j²),           s_j² ~ inverse gamma (ν / 2, ν / 2)
+    γ_j ~ N(0, max(s_j², 1) g² + drift² + form² τ_jh² + free_j²),   s_j² ~ inverse gamma (ν / 2, ν / 2)
 
 X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
 hypothesis' effects, and U_j those of the noise model. Some of these all logs share (`noise_model`), with a variance of
-four parts: the model's own systematic error (g), changes of the arm over time (drift), errors in the parameterisation
-of any effect (a share of its own torque τ), and "something else on this joint" (free_j). Of others, with γ ~ N(0, 1),
-each log has its own: what the healthy arm has of the effects (`healthy`), and changes of δ. δ, β and γ are integrated
-out in closed form. The scales s_j and the effects' sizes are fitted (Laplace, empirical Bayes). Parameters that the
-data do not need therefore cost evidence (Kass and Raftery, J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter
-that was chosen on the data costs ½ log N.
+four parts: the model's own systematic error (g, with s_j² alone where no other motion told σ_j), changes of the arm
+over time (drift), errors in the parameterisation of any effect (a share of its own torque τ), and "something else on
+this joint" (free_j). Of others, with γ ~ N(0, 1), each log has its own: what the healthy arm has of the effects
+(`healthy`), and changes of δ. δ, β and γ are integrated out in closed form. The scales s_j and the effects' sizes are
+fitted (Laplace, empirical Bayes). Parameters that the data do not need therefore cost evidence (Kass and Raftery,
+J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter that was chosen on the data costs ½ log N.
 
 Only second moments of the rows enter, so a hypothesis costs a few small factorisations.
 """
@@ -147,12 +147,14 @@ class Score:
         free : mapping of int to float, optional
             Joints with "something else", and its size over nominal torque.
         scales : ndarray, shape (n,), optional
-            Squared scales s_j² to begin with; joints that nothing acts on keep them.
+            Squared scales s_j² to begin with, those without effects if None; joints that nothing acts on keep them.
         refit : bool, optional
             Fit the scales; else all joints keep them.
         """
         law, free = self.law, dict(free or {})
-        scales = np.ones(self.joints) if scales is None else scales.copy()
+        if scales is None:
+            scales = np.ones(self.joints) if self._nothing is None else self._nothing.scales
+        scales = scales.copy()
         form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
         touched = {j for k in effects for j in self.pool.candidate(k).blocks} | set(free)
         if refit and self._nothing:  # a large effect raises the scales, and the noise model would then explain it

@@ -233,7 +233,8 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
 
     Not by the weights of the fit: those of a robust one are of most of its rows, and what it gives up is its error too.
     """
-    return model.held_out_rmse if model.group_rmse is None else model.group_rmse[0]
+    moving = model.held_out_rmse if model.group_rmse is None else model.group_rmse[0]
+    return moving if model.sliding_rmse is None else np.minimum(moving, model.sliding_rmse)
 
 
 def known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:

@@ -15,12 +15,20 @@ from agent.model import MotionSignals, NominalModel, standstill_speed
 def standing(signals: Sequence[MotionSignals], others: Sequence[MotionSignals] = ()) -> list[np.ndarray]:
     """Per motion (S, n) bool: whether a joint is stationary. A joint that never travels always is, whatever its noise.
 
-    `others` are other motions of the same arm: the speed threshold depends on the joint's highest speed in all motions.
+    It is where it reverses, too: a fast reversal may pass the speed threshold between two rows. `others` are other
+    motions of the same arm: the threshold depends on the joint's highest speed in all motions.
     """
     known = [*others, *signals]
     slowest = standstill_speed([motion.qd for motion in known], known[0].reference.robot.max_velocity)
     slowest = np.where(moves(known), slowest, np.inf)
-    return [np.abs(motion.qd) <= slowest for motion in signals]
+    return [(np.abs(motion.qd) <= slowest) | _reverses(motion.qd) for motion in signals]
+
+
+def _reverses(speed: np.ndarray) -> np.ndarray:
+    """(S, n) bool: rows next to a change of sign."""
+    turned = speed[1:] * speed[:-1] < 0
+    nowhere = np.zeros_like(turned[:1])
+    return np.asarray(np.concatenate([turned, nowhere]) | np.concatenate([nowhere, turned]))
 
 
 def moves(signals: Sequence[MotionSignals]) -> np.ndarray:
@@ -60,15 +68,11 @@ def noise_level(
         others: motions of the same arm, as for `standing`.
     """
     still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
-    standstill = standing(signals, others)
-    resting = np.concatenate([still[s.kept] for s, still in zip(signals, standstill, strict=True)])
-    rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-    reach = int(0.5 * LIMITS.independent * rate)
-    near = resting.copy()
-    for shift in range(1, reach + 1):
-        near[shift:] |= resting[:-shift]
-        near[:-shift] |= resting[shift:]
-    return np.where(near, still, moving)
+    near = []  # at the rate of the motion: a fast reversal may lie between two of the rows that are kept
+    for motion, resting in zip(signals, standing(signals, others), strict=True):
+        reach = int(0.5 * LIMITS.independent / float(np.median(np.diff(motion.time))))
+        near.append((_count(resting, reach, reach) > 0)[motion.kept])
+    return np.where(np.concatenate(near), still, moving)
 
 
 def stiction(reference: NominalModel) -> np.ndarray:
