@@ -45,16 +45,17 @@ def with_healthy_effects(
     baseline, held_out = ([_beginning(log) for log in logs] for logs in (baseline, held_out))
     if alone := len(baseline) == 1 and not held_out:
         baseline = _halves(baseline[0])
-    model = replace(model, sliding_rmse=_sliding_rmse(model, held_out, baseline))
     learned = [_judged(model, held_out)] if held_out else []
     learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
     largest: dict[HypothesisKey, tuple[float, list[HealthyEffect]]] = {}
-    for forms, shown in learned:
+    for _, forms, shown in learned:
         for place, (size, entries) in _effects(forms, shown, model.robot.joint_names).items():
             if size >= largest.get(place, (0.0, []))[0]:
                 largest[place] = size, entries
     healthy = [entry for _, entries in largest.values() for entry in entries]
-    return replace(model, healthy=tuple(replace(entry, value={}) if alone else entry for entry in healthy))
+    sliding = np.max([error for error, *_ in learned], axis=0) if learned else None
+    healthy = [replace(entry, value={}) if alone else entry for entry in healthy]
+    return replace(model, sliding_rmse=sliding, healthy=tuple(healthy))
 
 
 def _beginning(log: Log) -> Log:
@@ -94,19 +95,28 @@ class _Shown:
         return np.array(self.evidence.smallest_sizes())
 
 
-def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
+#: Error (n,) [N·m] of the model while joints slide, all forms, and what logs show of them.
+_Learned = tuple[np.ndarray, Sequence[Candidate], list[_Shown]]
+
+
+def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> _Learned:
     """Logs that the model has not seen, all together."""
-    fit = assemble(model.robot, model, logs, model.cutoff).fit
-    return _shown(fit, [(fit, slice(None))])
+    dataset = assemble(model.robot, model, logs, model.cutoff)
+    sliding = _sliding_rmse(dataset.fit, dataset.residual)
+    fit = dataset.fit.with_noise(sliding)
+    return sliding, *_shown(fit, [(fit, slice(None))])
 
 
-def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> tuple[Sequence[Candidate], list[_Shown]]:
+def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> _Learned:
     """Each log under parameters that were fitted to the others."""
     fit = assemble(model.robot, model, logs, model.cutoff, refitted=True).fit
+    sliding = _sliding_rmse(fit, _of_others(fit, len(logs))[0])
+    fit = fit.with_noise(sliding)
     residual, precision = _of_others(fit, len(logs))
     unseen = fit.with_residual(residual / fit.sigma)  # as of a model of other logs
     fit = unseen.with_chosen(precision=np.mean(precision, axis=0), shift=np.zeros(len(precision[0])))
-    return _shown(fit, [(fit.of_log(number, precision[number]), fit.rows_of(number)) for number in range(len(logs))])
+    parts = [(fit.of_log(number, precision[number]), fit.rows_of(number)) for number in range(len(logs))]
+    return sliding, *_shown(fit, parts)
 
 
 def _of_others(fit: Fit, logs: int) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -123,25 +133,17 @@ def _of_others(fit: Fit, logs: int) -> tuple[np.ndarray, list[np.ndarray]]:
     return residual, precision
 
 
-def _sliding_rmse(model: IdentifiedModel, held_out: Sequence[Log], baseline: Sequence[Log]) -> np.ndarray | None:
-    """(n,) [N·m] error of the model on logs that it has not seen, away from standstills; None where none can tell.
+def _sliding_rmse(fit: Fit, error: np.ndarray) -> np.ndarray:
+    """(n,) [N·m] error (S', n) on motion that the model has not seen, away from standstills; at most σ.
 
-    The fit's own error of rows in motion includes those that the filter reaches from a standstill. There stiction
-    leaves the torque open, which a diagnosis knows, so its share would make the model look worse than it is.
+    The error of the model's fit counts what the filter reaches from a standstill as motion. There stiction leaves the
+    torque open, which a diagnosis knows, so the model would look worse than it is.
     """
-    errors = []
-    if held_out:
-        dataset = assemble(model.robot, model, held_out, model.cutoff)
-        errors.append((dataset.fit, dataset.residual))
-    if len(baseline) > 1:
-        fit = assemble(model.robot, model, baseline, model.cutoff, refitted=True).fit
-        errors.append((fit, _of_others(fit, len(baseline))[0]))
-    if not errors:
-        return None
-    squares = np.concatenate([np.where(fit.near_rest, np.nan, error) ** 2 for fit, error in errors])
-    count = np.isfinite(squares).sum(axis=0)
-    sliding = np.sqrt(np.nansum(squares, axis=0) / np.maximum(count, 1))
-    return np.where(count >= LIMITS.fewest, sliding, model.held_out_rmse)
+    slides, most = ~fit.near_rest, fit.sigma.min(axis=0)
+    count = slides.sum(axis=0)
+    sliding = np.sqrt(np.sum(np.where(slides, error, 0.0) ** 2, axis=0) / np.maximum(count, 1))
+    least = LIMITS.least_background * fit.reference.scale
+    return np.where(count < LIMITS.fewest, most, np.clip(sliding, np.minimum(least, most), most))
 
 
 def _shown(fit: Fit, parts: Sequence[tuple[Fit, slice]]) -> tuple[Sequence[Candidate], list[_Shown]]:

@@ -89,7 +89,7 @@ class NoiseModel:
         healthy = healthy or ()
         own_model = fit.given and fit.reference.model.method != SIMULATOR
         # σ is what it errs by in other motion: less noise in these logs leaves more of that to its systematic error
-        self._least_scale = 1.0 if own_model else 0.0
+        self._least_scale = 1.0 if own_model and healthy else 0.0
         spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))
         self.known: list[np.ndarray] = []
         self.gram: list[np.ndarray] = []

@@ -23,7 +23,7 @@ import numpy as np
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates
 from agent.diagnosis.rows.moments import FitMoments
-from agent.diagnosis.rows.standstill import StandstillWhitening
+from agent.diagnosis.rows.standstill import StandstillWhitening, noise_level
 from agent.model import Effect, MotionSignals, NominalModel
 
 
@@ -113,6 +113,13 @@ class Fit:
         """The same motions without effects, and with (S', n) over `sigma` left of the torque; candidates are kept."""
         rows = [np.column_stack([rows[:, :-1], residual]) for rows, residual in zip(self.rows, left.T, strict=True)]
         return self.with_chosen(rows=rows, _moments=self._moments.with_residual(rows))
+
+    def with_noise(self, moving: np.ndarray) -> Fit:
+        """The same rows without effects, of a model that errs by (n,) [N·m] in motion."""
+        sigma = noise_level(self.reference, moving, self.signals)
+        rows = [rows * (self.sigma / sigma)[:, [joint]] for joint, rows in enumerate(self.rows)]
+        prior, held_out = (self.precision, self.shift), (self.cell, self.block, self.folds, self.single)
+        return Fit(self.reference, self.signals, rows, self.index, sigma, *prior, *held_out, self.rests)
 
     def seen_from(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
