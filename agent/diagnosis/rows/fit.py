@@ -118,8 +118,20 @@ class Fit:
         """The same rows without effects, of a model that errs by (n,) [N·m] in motion."""
         sigma = noise_level(self.reference, moving, self.signals)
         rows = [rows * (self.sigma / sigma)[:, [joint]] for joint, rows in enumerate(self.rows)]
-        prior, held_out = (self.precision, self.shift), (self.cell, self.block, self.folds, self.single)
-        return Fit(self.reference, self.signals, rows, self.index, sigma, *prior, *held_out, self.rests)
+        return Fit(
+            self.reference,
+            self.signals,
+            rows,
+            self.index,
+            sigma,
+            self.precision,
+            self.shift,
+            self.cell,
+            self.block,
+            self.folds,
+            self.single,
+            self.rests,
+        )
 
     def seen_from(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
