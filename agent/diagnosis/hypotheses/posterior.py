@@ -46,7 +46,7 @@ def compare(
     """
     hypotheses = posterior(evidence, found, observed)
     statements = _statements(hypotheses)
-    faults, free = max(statements, key=lambda names: round(statements[names], 6))
+    faults, free = max(statements, key=lambda names: round(statements[names], 2))  # first: fewest forms
     leader = max(hypotheses, key=lambda h: _shares(h).get((faults, free), 0.0))
     plain = next(h for h in hypotheses if not h.effects and not h.free)
     size = dict(zip(leader.places, leader.torque, strict=True))
