@@ -80,7 +80,7 @@ def test_names_friction_with_a_longer_reversal_distance(arm, model, healthy, lev
     found = diagnose(arm, _with(model, healthy[:2], law, joint=1), model).document
     assert [(cause.effect, cause.joints) for cause in found.causes] == [("presliding", ("joint_2",))]
     assert found.closure > 0.8
-    assert [one.joint for one in found.remainder] == (["joint_2"] if level > 3 else []), "what is left is said"
+    assert not found.remainder, "what is left lies next to reversals, where stiction leaves the torque open"
 
 
 def test_names_a_small_effect_next_to_a_much_larger_one(arm, model, healthy):
