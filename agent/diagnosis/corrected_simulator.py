@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,16 @@ import numpy as np
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, LINK, LOAD
+from agent.diagnosis.simulator_file.released_numbers import (
+    BEND,
+    DELAY,
+    GAIN,
+    LINK,
+    LOAD,
+    Group,
+    drive_groups,
+    groups_of,
+)
 from agent.diagnosis.simulator_file.reversals import reversals_as_effects
 from agent.model import IdentifiedModel
 from agent.robot import ParameterLayout
@@ -19,6 +29,9 @@ from agent.simulators import Correction, PositionServos, Released, Simulator, co
 def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
     """What the simulator's numbers should be, by all logs or by all but one (`without`).
 
+    Rows of positions are linear, and may take a gain of a file that is far off to zero or below. Then all numbers of
+    joints and servos are those of the fit of the free motion, about which the rows are linear.
+
     Args:
         diagnosis: of logs against the simulator.
         simulator: the file as given.
@@ -27,6 +40,10 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
     fit, names = diagnosis.selected.fit, simulator.arm.joint_names
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
     b = len(simulator.model.independent)
+    servos, groups = diagnosis.dataset.servos, diagnosis.released.groups if diagnosis.released else ()
+    if servos is not None and np.any(servos.gains(change) <= 0):
+        loads = (group for group in groups_of(diagnosis.dataset) if group.kind == LOAD)
+        change, groups = servos.about, (*drive_groups(diagnosis.dataset), *loads)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.repeat
     closes = {step.step: step.closes for step in diagnosis.document.waterfall}
 
@@ -34,8 +51,8 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         return f"{step}: closes {100 * closes[step]:.1f} % of the held-out gap" if step in closes else step
 
     released = Released()
-    for group in diagnosis.released.groups if diagnosis.released else ():
-        if group.kind in (GAIN, DELAY):
+    for group in groups:
+        if group.kind in (GAIN, DELAY, BEND):
             continue
         into = {"friction": released.friction, "rotor inertia": released.rotors}
         into |= dict.fromkeys((LINK, LOAD), released.links)
@@ -45,7 +62,7 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         reasons[candidate.effect.name, tuple(names[j] for j in candidate.joints)] = reason(candidate.text(names))
         effects.append(candidate.part_of_model(values, names))
     of_model = change[: len(simulator.model.values)].copy()
-    if (servos := diagnosis.dataset.servos) is not None:  # the file's simulator adds inertia to what it says
+    if servos is not None:  # the file's simulator adds inertia to what it says
         robot, rotors = diagnosis.dataset.robot, ParameterLayout.of(diagnosis.dataset.robot).rotors
         moved = np.isin(np.arange(robot.dof), list(released.rotors))
         of_model[:b] -= simulator.model.projection[:, rotors] @ (moved * servos.added / robot.gear_ratios**2)
@@ -64,7 +81,7 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
         held_out_rmse=gap.after * gap.unit,
         weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
     )
-    return _with_servos(replace(correction, model=model), diagnosis, change)
+    return _with_servos(replace(correction, model=model), diagnosis, change, groups)
 
 
 def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:
@@ -111,19 +128,20 @@ def _predicted(fit: Fit, model: IdentifiedModel) -> np.ndarray:
     return np.concatenate(list(parts))
 
 
-def _with_servos(correction: Correction, diagnosis: Diagnosis, change: np.ndarray) -> Correction:
+def _with_servos(
+    correction: Correction, diagnosis: Diagnosis, change: np.ndarray, groups: Sequence[Group]
+) -> Correction:
     """Gains and delays moved by a `change` (p,); damping below zero comes off the servo's, as both are one number."""
     data, servos, own = diagnosis.dataset, diagnosis.dataset.servos, correction.given.servos
     if servos is None or not isinstance(own, PositionServos):
         return correction
-    n, b, first = len(servos.kp), len(data.model.independent), len(data.model.values)
+    n, b = len(servos.kp), len(data.model.independent)
     viscous = correction.given.damping + change[b + 1 : b + 2 * n : 2]
     damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
-    groups = diagnosis.released.groups if diagnosis.released else ()
     reasons = {
         correction.given.joint_names[g.joint]: g.text(correction.given.joint_names) for g in groups if g.kind == GAIN
     }
     gains = {g.joint for g in groups if g.kind == GAIN}
-    stiffness = np.array([servos.kp[k] + (change[first + k] if k in gains else 0.0) for k in range(n)])
+    stiffness = np.where(np.isin(np.arange(n), list(gains)), servos.gains(change), servos.kp)
     delay = np.maximum(own.delay + change[-n:], 0.0)
     return with_servos(correction, stiffness, damping, delay, servos.simulated, reasons)

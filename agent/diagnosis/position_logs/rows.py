@@ -97,10 +97,7 @@ def assemble_positions(
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
-    file, about = (
-        np.stack([numbers.kp, numbers.damping, numbers.armature, numbers.friction, numbers.delay])
-        for numbers in (given, found.numbers)
-    )
+    file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
     simulator = found.simulator
     added = simulator.added_inertia(found.numbers)
     lag = widest_lag(found.stretches)
@@ -109,7 +106,7 @@ def assemble_positions(
         given.kp,
         USUAL_DELAY,
         file,
-        about,
+        away,
         simulator.arm,
         added,
         load_shape(found.load[: len(LOAD_NUMBERS)]) * usual_scale(reference, found.numbers, found.stretches)[-4:],

@@ -38,11 +38,11 @@ class ServoParameters:
 
     Damping d bends with speed by b: the torque is d v + b v |v|. No file of a simulator has b.
 
-    `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual
-    one; `file` (5, n) the file's kp, damping, armature, friction and delay, `about` those that rows are linear about.
-    `kp_known`: the file's kp are right. `cut`
-    [rad or m]: how much nearer to the positions commands may have been cut, 0 where they were not. `load` (10, 4): what
-    the last link gains by a usual mass and usual first moments of a load there.
+    `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual one; `file`
+    (5, n) the file's kp, damping, armature, friction and delay; the rows are linear about a change `about` (p,).
+    `kp_known`: the file's kp are right. `cut` [rad or m]: how much nearer to the positions commands may have been cut,
+    0 where they were not. `load` (10, 4): what the last link gains by a usual mass and usual first moments of a load
+    there.
     `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
     [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `simulated` is the arm whose motion was compared.
     """
@@ -59,6 +59,11 @@ class ServoParameters:
     kp_known: bool = False
     later: float = 0.0
     step: float = 0.0
+
+    def gains(self, change: np.ndarray) -> np.ndarray:
+        """(n,) kp [N·m/rad] of the file moved by a change (p,) of all parameters."""
+        n = len(self.kp)
+        return np.asarray(self.kp + change[-(3 * n + 1) : -(2 * n + 1)])
 
 
 @dataclass(frozen=True, eq=False)

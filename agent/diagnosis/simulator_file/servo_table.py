@@ -92,7 +92,8 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.nd
     """
     dataset, fit = explanation.dataset, explanation.selected.fit
     assert dataset.servos is not None
-    about = dataset.servos.about
+    drives = [*drive_groups(dataset), *(group for group in explanation.released.groups if group.moves_links)]
+    about = servo_numbers(dataset, drives, dataset.servos.about)
 
     def form(numbers: np.ndarray) -> np.ndarray:
         if not over_gain:
@@ -102,7 +103,6 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.nd
         return np.concatenate([ratios[:-1] + moved, numbers[-1:]])
 
     values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0])
-    drives = [*drive_groups(dataset), *(group for group in explanation.released.groups if group.moves_links)]
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     free = servo_numbers(dataset, drives, wide.fitted()[0])
     p, normal = len(dataset.held), float(ndtri((1 + LAW.certain) / 2))
