@@ -4,8 +4,8 @@ A number is a constant other than -1, 0, 1 and 2 (½ in formulas) in `agent/diag
 `agent/model/effects`; a grid is one number. Left out are guards of divisions (at most 1e-6 or at least 1e6), numbers in
 texts, exponents, factors of 100 and 1000, and counts that subscripts and shapes need. Each is halved and doubled while
 up to three small runs of a fixed set are diagnosed that come to it: machines of the emulator and of the second world
-with two joints, other ways to record, and logs of real arms. Of a share above one half the complement is varied, of a
-factor between 1 and 1.5 what exceeds 1.
+with two joints, other ways to record, and logs of real arms. Some have six joints and plan a further motion. Of a share
+above one half the complement is varied, of a factor between 1 and 1.5 what exceeds 1.
 
 There are four kinds:
 
@@ -15,7 +15,7 @@ There are four kinds:
   begins with "numerical:". That is a claim, so it counts as such only once halving and doubling it changes nothing in
   runs that reach it; a test fails if it changes anything.
 - A number of figures belongs to a package that no deciding module imports, such as the run forward of a corrected
-  simulator. A test holds the imports.
+  simulator, or to a module whose results are only shown. A test holds the imports, and replaces those results.
 - All others decide.
 
 Results are kept in `docs/measured/numbers.csv`, so that an interrupted run goes on where it stopped:
@@ -52,8 +52,8 @@ SHARED = ROOT.parent / "shared/data"
 PACKAGES = ("agent/diagnosis", "agent/experiment", "agent/model/effects")
 TABLE, PAGE = ROOT / "docs/measured/numbers.csv", ROOT / "docs/measured/numbers.md"
 RUNS = ROOT / "build/numbers/runs.pkl"
-#: Packages that no deciding module imports: their numbers are of figures next to an answer.
-FIGURES = ("agent/diagnosis/forward",)
+#: A package that no deciding module imports, and a module whose results are only shown: their numbers are of figures.
+FIGURES = ("agent/diagnosis/forward", "agent/diagnosis/gap/regime_shares.py")
 COLUMNS = ("number", "value", "runs", "executed", "half_answers", "half_probabilities", "double_answers",
            "double_probabilities")  # fmt: skip
 _MOVED = 0.05  # of a probability that counts as changed
@@ -380,7 +380,7 @@ def _singletons(kind: type) -> list[Any]:
 
 @dataclass(frozen=True)
 class Run:
-    """Logs to be judged by the model of healthy logs."""
+    """Logs to be judged by the model of healthy logs; with a `problem`, a further motion is planned too."""
 
     name: str
     robot: Any
@@ -388,12 +388,16 @@ class Run:
     logs: tuple[Any, ...]
     drives_off: Any = None
     file: str = ""
+    problem: Any = None
 
 
 def make_runs(count: int) -> list[Run]:
-    """The first of the fixed set: some have one effect or another way to record, the others are drawn."""
+    """The first of the fixed set, and those that plan a further motion.
+
+    Some have one effect or another way to record, the others are drawn.
+    """
     groups = (_chosen(), _others(), _mixed([_emulated(), _second_world(), _real()]))
-    return list(islice(_mixed(groups), count))
+    return [*islice(_mixed(groups), count), *_experiments()]
 
 
 def _mixed(groups: Iterable[Iterator[Run]]) -> Iterator[Run]:
@@ -456,6 +460,35 @@ def _others() -> Iterator[Run]:
     yield Run("drives_off", robot, model, offset, drives_off=still)
     held = [replace(log, effort=np.clip(log.effort, None, np.quantile(log.effort, 0.8, axis=0))) for log in logs]
     yield Run("held_torque", robot, model, tuple(held))
+
+
+#: Effects that slow motions leave open.
+_OPEN = ("gravity_spring", "torque_offset", "dress_pack", "friction_change")
+
+
+def _experiments() -> Iterator[Run]:
+    """Six-joint arms whose slow motions leave something open, and where a further one may lie."""
+    from agent.excitation import LoopProblem
+    from agent.motion import FlyTrajectory, FlyType, Pdl2Settings, ViaRegions
+    from agent.motion.regions import BoxRegion
+    from agent.robot import kinematics_for
+    from fake_controller.plant import Plant
+    from fake_controller.withheld.cases import Mix, draw_cases
+    from tests.small_arms import learn, make_arm, record
+
+    robot = make_arm("RRRRRR")
+    model = learn(robot)
+    pose = kinematics_for(robot, None).forward(np.array([[0.2, 0.2, 1.2, 0.3, 0.8, 0.2]]))[0]
+    fly = Pdl2Settings(fly_type=FlyType.FLY_CART, fly_trajectory=FlyTrajectory.FLY_TOL, fly_distance=0.02)
+    regions = ViaRegions((BoxRegion(pose, np.full(3, 0.25), 0.6),) * 4)
+    problem = LoopProblem(robot=robot, regions=regions, settings=fly.changed(linear_speed=0.5))
+    mix = Mix({"none": 0.0, "one": 1.0, "two": 0.0, "outside": 0.0}, (0.4, 1.0), _OPEN)
+    drawn = [case.effects for case in draw_cases(12, 5, robot, mix)]
+    for effects in (*drawn[-3:], drawn[5], []):  # a motion settles three kinds, and not one
+        plant = Plant(robot, seed=3, effects=effects)
+        logs = tuple(record(plant, log, seed, 0.3) for log, seed in (("one", 21), ("two", 22)))
+        name = "+".join(e["effect"] for e in effects) or "healthy"
+        yield Run(f"{name} experiment", robot, model, logs, problem=problem)
 
 
 def _resampled(values: np.ndarray, time: np.ndarray, when: np.ndarray) -> np.ndarray:
@@ -641,13 +674,34 @@ def answer_of(data: bytes) -> Answer:
                 simulator = load_simulator(path, run.robot, run.logs[0].joint_names, None)
                 result = diagnose(run.robot, run.logs, simulator.model, simulator=simulator).result
         else:
-            result = diagnose(run.robot, run.logs, run.model, drives_off=run.drives_off).result
+            diagnosis = diagnose(run.robot, run.logs, run.model, drives_off=run.drives_off)
+            if run.problem is not None:
+                return _planned(diagnosis, run.problem)
+            result = diagnosis.result
     except Exception as error:  # a number that makes it fail changes the answer
         return Answer((type(error).__name__,), 0.0)
     first = result["causes"][0] if result["causes"] else {}
     where = result["where"][0]["joint"] if result["where"] else ""
     named = (result["verdict"], first.get("effect", ""), *first.get("joints", ()))
     return Answer((*named, where if result["verdict"] != "no_gap" else ""), float(first.get("probability") or 0.0))
+
+
+def _plans(name: str) -> bool:
+    """Whether a further motion is planned in a run of this name."""
+    return name.endswith("experiment")
+
+
+def _planned(diagnosis: Any, problem: Any) -> Answer:
+    """What a further motion of the bare arm settles, and whether a mass is asked for; the lowest probability after."""
+    from agent.core import Console
+    from agent.experiment import known_mass, open_pairs, plan_experiment
+
+    pairs = open_pairs(diagnosis)
+    planned = plan_experiment(diagnosis, pairs, problem, known_mass.LONGEST)
+    helps = any(known_mass.helped(expected) for expected in planned.expected)
+    mass = None if helps else known_mass.with_a_mass(diagnosis, pairs, problem, 1, Console(verbosity=-1))
+    asked = [(expected.pair.first.text(), expected.pair.second.text()) for expected in planned.expected]
+    return Answer((helps, mass is not None, *asked), min((e.after for e in planned.expected), default=0.0))
 
 
 class Bench:
@@ -657,7 +711,8 @@ class Bench:
         RUNS.parent.mkdir(parents=True, exist_ok=True)
         if not RUNS.exists():
             RUNS.write_bytes(pickle.dumps([(run.name, pickle.dumps(run)) for run in make_runs(count)]))
-        named = pickle.loads(RUNS.read_bytes())[:count]
+        runs = pickle.loads(RUNS.read_bytes())
+        named = runs[:count] + [(name, data) for name, data in runs[count:] if _plans(name)]
         self.names, self.data = [name for name, _ in named], [data for _, data in named]
         self.usual: list[Answer] = []
         self.lines: list[set[tuple[str, int]]] = []
@@ -688,7 +743,7 @@ class Bench:
         lines = self._readers(site)
         reaching = [number for number, seen in enumerate(self.lines) if lines & seen]
         own = [k for k in reaching if self.names[k].split()[-1] in site.path]
-        others = [k for k in reaching if k not in own]
+        others = [k for k in reaching if k not in own and not (own and _plans(self.names[k]))]
         others = [k for k in others if " " in self.names[k]] or others  # other ways to record are for what they reach
         spread = np.unique(np.linspace(0, len(others) - 1, max(ENOUGH - len(own), 0)).astype(int)) if others else ()
         return [*own, *(others[k] for k in spread)][:ENOUGH]

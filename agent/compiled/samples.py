@@ -128,14 +128,14 @@ def _raise_to(largest: np.ndarray, values: np.ndarray, limit: float) -> None:
 
 
 @compiled("f8[:,::1](f8[:,:,::1], i8)")
-def tcp_rates(found: np.ndarray, joints: int) -> np.ndarray:
+def tcp_rates(out: np.ndarray, joints: int) -> np.ndarray:
     """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP.
 
     found (3, n + 7, S) as of `sampled_on`.
     """
-    rates = np.empty((4, found.shape[2]))
-    quaternion, rate, change = found[0, joints + 3 :], found[1, joints:], found[2, joints:]
-    for k in range(found.shape[2]):
+    rates = np.empty((4, out.shape[2]))
+    quaternion, rate, change = out[0, joints + 3 :], out[1, joints:], out[2, joints:]
+    for k in range(out.shape[2]):
         rates[0, k] = np.sqrt(rate[0, k] * rate[0, k] + rate[1, k] * rate[1, k] + rate[2, k] * rate[2, k])
         rates[2, k] = np.sqrt(change[0, k] * change[0, k] + change[1, k] * change[1, k] + change[2, k] * change[2, k])
         turning = along = twisting = 0.0
@@ -153,7 +153,7 @@ def stretched(
     knots: np.ndarray,
     ceilings: np.ndarray,
     s: np.ndarray,
-    found: np.ndarray,
+    out: np.ndarray,
     speeds: np.ndarray,
     accelerations: np.ndarray,
     jerks: np.ndarray,
@@ -165,14 +165,14 @@ def stretched(
         knots: (K,) parameters.
         ceilings: (4, K) of the TCP's linear and rotational speed, then acceleration, each on the cell before its knot.
         s: (S,) parameter since the first knot.
-        found: (3, n + 7, S) as of `sampled_on`.
+        out: (3, n + 7, S) as of `sampled_on`.
         speeds: (n,) of the joints.
         accelerations: (n,).
         jerks: (n,) changes of acceleration a sample.
         over_three: (n,) third differences of position.
     """
     joints, count = len(speeds), len(s)
-    full, rates = np.empty((2, count)), tcp_rates(found, joints)
+    full, rates = np.empty((2, count)), tcp_rates(out, joints)
     rule = 0
     for k in range(count):
         at = s[k] + knots[0]
@@ -182,14 +182,14 @@ def stretched(
         full[1, k] = _larger(rates[2, k] / ceilings[2, rule], rates[3, k] / ceilings[3, rule])
     speed, change = full[0], full[1]
     for joint in range(joints):
-        _raise_to(speed, found[1, joint], speeds[joint])
-        _raise_to(change, found[2, joint], accelerations[joint])
+        _raise_to(speed, out[1, joint], speeds[joint])
+        _raise_to(change, out[2, joint], accelerations[joint])
     for k in range(count):
         speed[k] = _larger(speed[k], np.sqrt(change[k]))
     jerk, steps = full[1], np.empty(count)
     jerk[:] = 0.0
     for joint in range(joints):
-        q, qdd = found[0, joint], found[2, joint]
+        q, qdd = out[0, joint], out[2, joint]
         steps[0] = qdd[0]
         steps[1:] = qdd[1:] - qdd[:-1]
         _raise_to(jerk, steps, jerks[joint])

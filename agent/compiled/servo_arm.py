@@ -245,7 +245,7 @@ def march(  # noqa: C901
     substeps: int,
     dt: float,
     state: np.ndarray,
-    found: np.ndarray,
+    out: np.ndarray,
 ) -> None:
     """Steps of n joints: `agent.simulators.ForwardSimulation` says what they are.
 
@@ -267,7 +267,7 @@ def march(  # noqa: C901
         dt: of a step [s].
         state: (5, n) joints' position, velocity and acceleration; servos' integral, bristles' torque; goes on from
             here.
-        found: (S, 5, n) joints' position and velocity, motors' position, velocity and torque; written.
+        out: (S, 5, n) joints' position and velocity, motors' position, velocity and torque; written.
     """
     n = len(rotors)
     q, v, a, bristle = state[0], state[1], state[2], state[4]
@@ -292,8 +292,8 @@ def march(  # noqa: C901
                 late += coupling[k, j] * v[j]
             torque = _servo(references[step, :, k], axle, speed, gains[:, k], state[3, k : k + 1], dt)
             if first:
-                found[sample, 0, k], found[sample, 1, k] = q[k], predicted[k]
-                found[sample, 2, k], found[sample, 3, k], found[sample, 4, k] = axle, speed, torque
+                out[sample, 0, k], out[sample, 1, k] = q[k], predicted[k]
+                out[sample, 2, k], out[sample, 3, k], out[sample, 4, k] = axle, speed, torque
             turning[k] = _damping(friction[:, k], speed)
             load[k] = torque - _held(friction[:, k], speed, bristle[k : k + 1], dt) - turning[k] * late
             damped |= turning[k] != 0.0

@@ -80,7 +80,7 @@ class Diagnosis:
 
 
 def build(
-    found: Explanation,
+    explanation: Explanation,
     verdict: Verdict,
     motion: MotionGap | None,
     warnings: Sequence[str],
@@ -90,10 +90,10 @@ def build(
 
     `held`: the torque that stands still where most of the gap is.
     """
-    dataset, selected, gap = found.dataset, found.selected, found.as_given
-    closure = gap.closure if found.of_file and gap.closure is not None else verdict.closure
-    where, causes = _where(dataset, gap), _with_figures(found, verdict.causes)
-    smallest = smallest_sizes(dataset, found.search.evidence)
+    dataset, selected, gap = explanation.dataset, explanation.selected, explanation.as_given
+    closure = gap.closure if explanation.of_file and gap.closure is not None else verdict.closure
+    where, causes = _where(dataset, gap), _with_figures(explanation, verdict.causes)
+    smallest = smallest_sizes(dataset, explanation.search.evidence)
     document = DiagnosisResult(
         verdict.name,
         TorqueGap(
@@ -108,23 +108,27 @@ def build(
         closure,
         where,
         causes,
-        tuple(not_testable(dataset, found.search, smallest)),
+        tuple(not_testable(dataset, explanation.search, smallest)),
         next_experiment(causes, verdict.name, where, selected.zero_known, bool(dataset.open_joints.any()))
         if held is None
         else NextExperiment((), held.motion),
         _folds(dataset),
-        (*(() if held is None else (held.text,)), *warnings, *_warnings(found, verdict)),
-        found.steps,
+        (*(() if held is None else (held.text,)), *warnings, *_warnings(explanation, verdict)),
+        explanation.steps,
         tuple(
             Rejected(effect, tuple(dataset.robot.joint_names[j] for j in joints), why)
             for (effect, joints), why in selected.rejected
         ),
-        () if verdict.name == "no_gap" else tuple(remainders(dataset, gap if dataset.servos is None else found.gap)),
-        tuple(power(dataset, found.search, smallest)),
+        ()
+        if verdict.name == "no_gap"
+        else tuple(remainders(dataset, gap if dataset.servos is None else explanation.gap)),
+        tuple(power(dataset, explanation.search, smallest)),
         dataset.model_error,
-        **({} if dataset.servos is None else servo_table(found)),
+        **({} if dataset.servos is None else servo_table(explanation)),
     )
-    return Diagnosis(document, selected, dataset, motion, gap, found.released if found.of_file else None, held)
+    return Diagnosis(
+        document, selected, dataset, motion, gap, explanation.released if explanation.of_file else None, held
+    )
 
 
 def _with_figures(explanation: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:

@@ -113,9 +113,9 @@ def _range(of: str, parameter: str, value: float, deviation: float, unit: str) -
     return Range(of, parameter, max(float(value), 0.0), max(low, 0.0), max(high, 0.0), unit)
 
 
-def ranges_text(found: tuple[Range, ...]) -> str:
+def ranges_text(ranges: tuple[Range, ...]) -> str:
     """Content of a ranges file, YAML with one line a number."""
-    rows = ({key: _rounded(value) for key, value in asdict(entry).items()} for entry in found)
+    rows = ({key: _rounded(value) for key, value in asdict(entry).items()} for entry in ranges)
     lines = [f"  - {json.dumps(row, ensure_ascii=False)}" for row in rows]
     return "\n".join(["schema: randomisation/1", "interval: 0.9", "ranges:" if lines else "ranges: []", *lines, ""])
 

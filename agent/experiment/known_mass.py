@@ -12,7 +12,7 @@ from agent.core import Console
 from agent.diagnosis import LAW, LIMITS, Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.deadline import Deadline
-from agent.experiment.piece_choice import WITHIN_REACH, Expected, Experiment, plan_experiment
+from agent.experiment.piece_choice import Expected, Experiment, plan_experiment
 from agent.experiment.questions import OpenPair
 from agent.experiment.scorer import tells_apart_by_load
 from agent.model import PAYLOAD, payload_text
@@ -60,7 +60,7 @@ class WithMass:
 def helped(expected: Expected) -> bool:
     """Whether a motion makes a right answer likely that was not."""
     sides = zip(expected.before_if, expected.after_if, strict=True)
-    return any(b is not None and a is not None and a > max(WITHIN_REACH, b + LIMITS.negligible) for b, a in sides)
+    return any(b is not None and a is not None and a > max(LIMITS.most, b + LIMITS.negligible) for b, a in sides)
 
 
 def with_a_mass(

@@ -17,7 +17,7 @@ from agent.experiment.known_mass import LONGEST, WithMass, helped, with_a_mass
 from agent.experiment.piece_choice import Experiment, plan_experiment
 from agent.experiment.pieces import SPEED_ROUND_OFF, Piece
 from agent.experiment.questions import OpenPair, open_pairs
-from agent.link import plan_program, torque_limits, with_payload
+from agent.link import APPROACH_SPEED, plan_program, torque_limits, with_payload
 from agent.model import CATALOGUE, PAYLOAD, payload_text
 from agent.motion import Dialect, JointTarget, MotionError, Move, MoveType, Statement, with_frames
 from agent.recipe import Recipe
@@ -25,9 +25,6 @@ from agent.recording import PARTS, PLANNED_PARTS
 from agent.robot import RobotDescription, Tool, TorqueLimits
 from agent.safety import PlannedProgram
 
-#: Share of the joint speeds between pieces. It is halved while the tool exceeds the recipe's speed by more than
-#: round-off and the speed is at least one of the whole percents that controllers take.
-_WAY_SPEED = 0.2
 DRIVES_OFF = "--drives-off"
 BRAKES = f"record 1 s with the drives off ({DRIVES_OFF} LOG)"
 
@@ -233,6 +230,9 @@ def _refused(problem: LoopProblem) -> str:
 class RunnablePieces:
     """Whether pieces can run one after the other within a time [s], including the moves between them.
 
+    These are slower while the tool exceeds the recipe's speed by more than round-off, down to the least whole percent
+    that controllers take.
+
     `motion`: program of the last pieces that can; `refused`: why the last ones cannot.
     """
 
@@ -244,7 +244,7 @@ class RunnablePieces:
         self.refused = ""
 
     def __call__(self, pieces: Sequence[Piece]) -> bool:
-        recipe, speed = self._recipe, _WAY_SPEED
+        recipe, speed = self._recipe, APPROACH_SPEED
         start, path = np.asarray(pieces[0].start), f"{self._name}{recipe.dialect.suffix}"
         while True:
             text = self._program(pieces, speed)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.diagnosis import LAW, Diagnosis
+from agent.diagnosis import LAW, LIMITS, Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.deadline import Deadline, OutOfTime
 from agent.experiment.picking import d_optimal, together
@@ -16,13 +16,8 @@ from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
 from agent.experiment.scorer import ExperimentScorer, InformationGain
 
-#: Number of drawn pieces, of which the best are combined, and number of neighbours tried for each of these.
+#: numerical: drawn pieces, of which the best are combined, and neighbours tried for each of these
 _POOL, _NEIGHBOURS = 240, 12
-#: Share of the time for the ways between pieces. Of the rest, half is for what is asked; what is left says most of
-#: everything, since no plan knows laws that nobody thought of.
-_WAYS = 0.15
-#: A pair is asked about where all pieces together make the right answer likelier than this.
-WITHIN_REACH = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +68,8 @@ def plan_experiment(
 
     The worst pair counts first. The same seed gives the same motion, where the `deadline` does not end the search
     before: then it is the best of what was weighed. `runnable` says whether pieces can be run one after the other:
-    while they cannot, the last one is left out.
+    while they cannot, the last one is left out. Half of the time is for what is asked; what is left says most of
+    everything, since no plan knows laws that nobody thought of.
 
     Args:
         diagnosis: diagnosis that leaves pairs open.
@@ -88,8 +84,7 @@ def plan_experiment(
         InputError: as `agent.excitation.Candidates`.
     """
     scorer = ExperimentScorer(diagnosis.dataset, diagnosis.selected.evidence, pairs, problem.load)
-    longest = (1 - _WAYS) * seconds
-    pieces = Pieces(problem, _joints(diagnosis, pairs), longest, np.random.default_rng(seed))
+    pieces = Pieces(problem, _joints(diagnosis, pairs), seconds, np.random.default_rng(seed))
     pool: list[Weighed] = []
     deadline, cut_short = deadline or Deadline(), True
     with suppress(OutOfTime):
@@ -100,14 +95,14 @@ def plan_experiment(
         cut_short = False
     before = scorer.chances(scorer.nothing)
     at_best = scorer.chances(_sum(scorer, pool))
-    asked = (at_best > np.maximum(np.nan_to_num(before), WITHIN_REACH)) & (np.nan_to_num(before) < LAW.certain)
+    asked = (at_best > np.maximum(np.nan_to_num(before), LIMITS.most)) & (np.nan_to_num(before) < LAW.certain)
     if not asked.any():
         return Experiment((), (), len(pool), cut_short)
-    chosen = _varied(scorer, pieces, _greedy(scorer, pool, longest / 2, asked), longest / 2, asked, deadline)
+    chosen = _varied(scorer, pieces, _greedy(scorer, pool, seconds / 2, asked), seconds / 2, asked, deadline)
     design = together(
         d_optimal(diagnosis.dataset, scorer.model_information),
         [piece for piece, _ in pool],
-        longest,
+        seconds,
         [piece for piece, _ in chosen],
     )
     while design and not runnable(design):

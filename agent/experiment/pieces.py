@@ -7,7 +7,7 @@ choice of posture.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,23 +27,15 @@ from agent.motion import (
 )
 from agent.robot import KinematicsError, RobotDescription
 
-#: Kinds of pieces, and how often each is drawn; loops alone are what an excitation is.
-KINDS = {"loop": 0.4, "stops": 0.3, "reversals": 0.3}
-#: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest.
-_PATH_SPEEDS = (1.0, 0.3, 0.1)
-_JOINT_SPEEDS = (0.01, 0.05, 0.2, 1.0)
-#: Rests [s].
-_RESTS = (0.3, 1.0, 2.0)
-#: Largest turn of a joint to either side [rad, m], before it is cut to the sub-region.
-_TURNS = (0.05, 0.2, 0.6, 2.0)
-#: Number of steps in which reversals grow to the largest turn.
-_STEPS = 3
-#: [s] of the pieces' set-points, while they are weighed; the program is checked at the controller's own.
-PERIOD = 0.01
-#: Largest ratio of the tool's speed to the commanded speed, in set-points with this period.
-SPEED_ROUND_OFF = 1.01
-#: Standard deviation of a neighbour's genes, and of the logarithm of its speed and turn.
-_VARY = 0.2
+#: Kinds of pieces, equally often drawn; loops alone are what an excitation is.
+KINDS = ("loop", "stops", "reversals")
+#: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest, and their turn to either side
+#: over half the joint's range, before it is cut to the sub-region.
+_SHARES = (0.1, 0.3, 1.0)
+_REST = 1.0  # s at every point: rows with a stationary joint do not count, so no length of it tells more than another
+PERIOD = 0.01  # numerical: s of the set-points that are weighed; the program is checked at the controller's own
+SPEED_ROUND_OFF = 1.01  # numerical: largest ratio of the tool's speed to the commanded one, with this period
+_VARY = 0.2  # numerical: standard deviation of a neighbour's genes, and of the logarithm of its speed and turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +50,12 @@ class GridMotion:
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """The genome of a piece: its kind, numbers (6 K,), the joint that turns (reversals), speed and rest."""
+    """The genome of a piece: its kind, numbers (6 K,), speed, and of reversals the joint and its turn [rad, m]."""
 
     kind: str
     genome: np.ndarray
     joint: int
     speed: float
-    rest: float
     turn: float
 
 
@@ -86,15 +77,15 @@ class Piece:
             travel = f"{1e3 * draw.turn:.3g} mm" if joint.prismatic else f"{np.degrees(draw.turn):.3g} deg"
             return (
                 f"reversals of {joint.name} by up to {travel} at "
-                f"{100 * draw.speed:.0f} % of its speed, resting {draw.rest:g} s"
+                f"{100 * draw.speed:.0f} % of its speed, resting {_REST:g} s"
             )
-        rests = f", resting {draw.rest:g} s at every point" if draw.kind == "stops" else ""
+        rests = f", resting {_REST:g} s at every point" if draw.kind == "stops" else ""
         return f"a loop at {100 * draw.speed:.0f} % of the recipe's speed{rests}"
 
 
 class Pieces:
     """Draws pieces in the sub-region of a problem, and varies them. `joints` are those worth turning by themselves,
-    `kinds` how often each kind is drawn.
+    `kinds` the kinds that are drawn.
 
     Raises:
         InputError: as `agent.excitation.Candidates`.
@@ -106,12 +97,12 @@ class Pieces:
         joints: Sequence[int],
         longest: float,
         rng: np.random.Generator,
-        kinds: Mapping[str, float] = KINDS,
+        kinds: Sequence[str] = KINDS,
     ):
         self.problem = replace(problem, period=PERIOD)
         self._candidates = Candidates(self.problem)
         self._interpolator = create_interpolator(problem.interpolator, problem.robot, problem.tool, period=PERIOD)
-        self._joints, self._longest, self._rng, self._kinds = list(joints), longest, rng, kinds
+        self._joints, self._longest, self._rng, self._kinds = list(joints), longest, rng, list(kinds)
         points = np.vstack([problem.regions.poses(rng.uniform(size=problem.genes))[:, :3, 3] for _ in range(50)])
         slack = problem.settings.fly_distance
         self._low, self._high = points.min(axis=0) - slack, points.max(axis=0) + slack
@@ -119,13 +110,11 @@ class Pieces:
     def draw(self) -> Piece | None:
         """A piece at random; None where it breaks a limit."""
         rng = self._rng
-        kind = str(rng.choice(list(self._kinds), p=list(self._kinds.values())))
-        speeds = _JOINT_SPEEDS if kind == "reversals" else _PATH_SPEEDS
-        joint = int(rng.choice(self._joints))
+        kind, joint = str(rng.choice(self._kinds)), int(rng.choice(self._joints))
         genome = rng.uniform(size=self.problem.genes)
-        return self.make(
-            Draw(kind, genome, joint, float(rng.choice(speeds)), float(rng.choice(_RESTS)), float(rng.choice(_TURNS)))
-        )
+        speed, share = rng.choice(_SHARES, size=2)
+        lower, upper = self._candidates.joint_limits
+        return self.make(Draw(kind, genome, joint, float(speed), float(share * (upper - lower)[joint] / 2)))
 
     def vary(self, piece: Piece) -> Piece | None:
         """A neighbour of a piece."""
@@ -171,14 +160,14 @@ class Pieces:
         statements: list[Statement] = []
         for target in joints[1:]:
             if draw.kind == "stops":
-                statements += [Move(MoveType.LINEAR, JointTarget(target), fine), Delay(draw.rest)]
+                statements += [Move(MoveType.LINEAR, JointTarget(target), fine), Delay(_REST)]
             else:
                 statements.append(Move(MoveType.LINEAR, JointTarget(target), settings, fly=True))
         statements.append(Move(MoveType.LINEAR, JointTarget(joints[0]), fine))
-        return draw, joints[0], [*statements, Delay(draw.rest)]
+        return draw, joints[0], [*statements, Delay(_REST)]
 
     def _reversals(self, draw: Draw) -> tuple[Draw, np.ndarray, list[Statement]] | None:
-        """One joint to and fro about a posture of the sub-region, further every time, with rests."""
+        """One joint to and fro about a posture of the sub-region, with rests."""
         kinematics = self._candidates.kinematics
         middle = kinematics.solve(self.problem.regions.poses(draw.genome)[0], self._candidates.posture, on_branch=True)
         travel = draw.turn
@@ -188,20 +177,19 @@ class Pieces:
                 return None
         calm = self._settings(1.0).changed(speed_override=draw.speed).stopping()
         statements: list[Statement] = []
-        for step in range(1, _STEPS + 1):
-            for side in (1.0, -1.0):
-                target = middle.copy()
-                target[draw.joint] += side * travel * step / _STEPS
-                statements += [Move(MoveType.JOINT, JointTarget(target), calm), Delay(draw.rest)]
+        for side in (1.0, -1.0):
+            target = middle.copy()
+            target[draw.joint] += side * travel
+            statements += [Move(MoveType.JOINT, JointTarget(target), calm), Delay(_REST)]
         statements.append(Move(MoveType.JOINT, JointTarget(middle), calm))
-        return replace(draw, turn=travel), middle, [*statements, Delay(draw.rest)]
+        return replace(draw, turn=travel), middle, [*statements, Delay(_REST)]
 
     def _inside(self, middle: np.ndarray, joint: int, travel: float) -> bool:
         """Whether the tool stays within the box around the sub-region, and the joint within its range."""
         lower, upper = self._candidates.joint_limits
         if not lower[joint] <= middle[joint] - travel <= middle[joint] + travel <= upper[joint]:
             return False
-        turns = travel * np.arange(-_STEPS, _STEPS + 1) / _STEPS
+        turns = travel * np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
         postures = np.tile(middle, (len(turns), 1))
         postures[:, joint] += turns
         tips = self._candidates.kinematics.forward(postures)[:, :3, 3]

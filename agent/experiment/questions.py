@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 
 from agent.diagnosis import Candidate, Diagnosis, HypothesisKey
 from agent.model import CATALOGUE
 
-#: Leading effects that are asked about where no effect explains the gap, and untested ones where nothing else is open.
-_LEADING, _MOST_UNTESTED = 3, 8
+_MOST_ASKED = 8  # pairs where no effect explains the gap, and effects that are not tested where nothing else is open
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +51,14 @@ class OpenPair:
 def open_pairs(diagnosis: Diagnosis) -> list[OpenPair]:
     """Return what is open after a diagnosis, most urgent first; nothing where everything is settled.
 
-    `ambiguous`: every cause against what equals it. `unknown`: the leading effects against each other. Where nothing
-    else is open: effects that these logs would not have shown at their practical size, against none.
+    `ambiguous`: every cause against what equals it. `unknown`: the leading effect against those that follow it. Where
+    nothing else is open: effects that these logs would not have shown at their practical size, against none.
     """
     if diagnosis.verdict == "ambiguous":
         return list(_rivals(diagnosis))
     if diagnosis.verdict == "unknown":
-        return list(_leading(diagnosis))
-    return list(_untested(diagnosis))
+        return list(islice(_leading(diagnosis), _MOST_ASKED))
+    return list(islice(_untested(diagnosis), _MOST_ASKED))
 
 
 def _rivals(diagnosis: Diagnosis) -> Iterator[OpenPair]:
@@ -86,13 +85,14 @@ def _side(diagnosis: Diagnosis, form: Candidate, shared: Sequence[Candidate]) ->
 def _leading(diagnosis: Diagnosis) -> Iterator[OpenPair]:
     ordered = sorted(diagnosis.selected.hypotheses, key=lambda h: -h.log_bayes_factor)
     singles = [h.effects[0] for h in ordered if len(h.effects) == 1]
-    for first, second in combinations([_side(diagnosis, form, ()) for form in singles[:_LEADING]], 2):
-        yield OpenPair(first, second)
+    if singles:
+        leader = _side(diagnosis, singles[0], ())
+        yield from (OpenPair(leader, _side(diagnosis, form, ())) for form in singles[1:])
 
 
 def _untested(diagnosis: Diagnosis) -> Iterator[OpenPair]:
     fit, names = diagnosis.dataset.fit, diagnosis.dataset.robot.joint_names
-    nothing, count = Side("none", (), None, np.empty(0)), 0
+    nothing = Side("none", (), None, np.empty(0))
     for entry in diagnosis.document.not_testable:
         effect = CATALOGUE[entry.effect]
         joints = () if entry.joint is None else tuple(names.index(name) for name in entry.joint.split(", "))
@@ -102,6 +102,3 @@ def _untested(diagnosis: Diagnosis) -> Iterator[OpenPair]:
             continue
         (form,) = fit.candidates([(effect, joints, settings[0])])
         yield OpenPair(Side(effect.name, tuple(names[k] for k in joints), form, np.empty(0)), nothing)
-        count += 1
-        if count == _MOST_UNTESTED:
-            return

@@ -24,16 +24,21 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import ndtr
 
-from agent.diagnosis import LIMITS, POWER, Candidate, Dataset, Evidence, MotionCoverage, noise_level, smooth_columns
+from agent.diagnosis import (
+    LIMITS,
+    POWER,
+    ROW_SPACING,
+    Candidate,
+    Dataset,
+    Evidence,
+    MotionCoverage,
+    noise_level,
+    smooth_columns,
+)
 from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.model import MotionSignals, NominalModel
 from agent.robot import Tool
-
-#: s between rows of a motion that is weighed, where nothing fast is asked about.
-_FINE = 0.03
-#: A load that multiplies the expected evidence by this is worth mounting.
-_LOADED = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +198,8 @@ def background_on(dataset: Dataset, reference: NominalModel, motion: MotionSigna
 
 
 def _thinned(motion: GridMotion) -> GridMotion:
-    step = max(1, round(_FINE * (len(motion.time) - 1) / float(motion.time[-1] - motion.time[0])))
+    """The rows that a diagnosis keeps of it."""
+    step = max(1, round(ROW_SPACING * (len(motion.time) - 1) / float(motion.time[-1] - motion.time[0])))
     return GridMotion(motion.time[::step], motion.q[::step], motion.qd[::step], motion.qdd[::step])
 
 
@@ -210,7 +216,7 @@ def _low_pass(rate: float, dataset: Dataset) -> Callable[[np.ndarray], np.ndarra
 def tells_apart_by_load(
     dataset: Dataset, evidence: Evidence, pairs: Sequence[OpenPair], motions: Sequence[GridMotion], load: Tool
 ) -> bool:
-    """Return whether a known load at the flange clearly improves what the same motions distinguish.
+    """Return whether a known load at the flange improves what the same motions distinguish.
 
     Args:
         dataset: logs of the diagnosis.
@@ -224,4 +230,4 @@ def tells_apart_by_load(
         np.nan_to_num(scorer.evidence(sum((scorer.told(motion) for motion in motions), scorer.nothing)))
         for scorer in (bare, loaded)
     )
-    return bool(np.any(second > _LOADED * first))
+    return bool(np.any(second > LIMITS.alike * first))

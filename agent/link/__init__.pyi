@@ -9,6 +9,7 @@ from .mounted_mass import (
     with_payload as with_payload,
 )
 from .planning import (
+    APPROACH_SPEED as APPROACH_SPEED,
     check_cell as check_cell,
     plan_program as plan_program,
     torque_limits as torque_limits,

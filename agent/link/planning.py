@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from agent.motion import Interpolator, Move, Statement, Trajectory
     from agent.robot import CellReport, Tool, TorqueLimits
 
+#: Share of the joint speeds at which the arm goes to the first point, and from one piece of motion to the next.
+APPROACH_SPEED = 0.1
 #: Torques are checked at every tenth set-point, as in a search.
 _EVERY = 10
 #: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and

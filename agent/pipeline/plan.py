@@ -22,7 +22,7 @@ from agent.core import (
     write_atomically,
 )
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search, via_joints
-from agent.link import check_cell, trajectories
+from agent.link import APPROACH_SPEED, check_cell, trajectories
 from agent.motion import CartesianTarget, JointTarget, LoopProgram, Target, ViaRegions, dialect_of, pose_of, with_frames
 from agent.pages import ShownLoop, plan_report
 from agent.recipe import Recipe
@@ -30,8 +30,6 @@ from agent.recording import read_log
 from agent.robot import Dynamics, kinematics_for
 from agent.runs import RunFolder, keep_loop, make_folder, write_json
 
-#: Share of the joint speeds at which the arm goes to the first point.
-APPROACH_SPEED = 0.1
 #: Largest number of random motions that are drawn for the validation.
 _MAX_DRAWS = 2000
 

@@ -6,7 +6,7 @@ all the kinds that an experiment is put together from: what its kinds are worth,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def pieces_otherwise(
     seconds: float,
     seed: int,
     runnable: Callable[[Sequence[Piece]], bool],
-    kinds: Mapping[str, float] = KINDS,
+    kinds: Sequence[str] = KINDS,
 ) -> tuple[Piece, ...]:
     """Of drawn pieces one after the other while one fits into the time; the last left out while they cannot be run.
 
@@ -36,7 +36,7 @@ def pieces_otherwise(
         seconds: longest motion [s].
         seed: of the draw.
         runnable: whether pieces can run one after the other.
-        kinds: of pieces, and how often each is drawn.
+        kinds: of pieces that are drawn.
 
     Raises:
         InputError: as `agent.excitation.Candidates`.

@@ -276,11 +276,11 @@ def _said(found: Diagnosis) -> dict[str, Any]:
 
 
 def run_otherwise(
-    pick: Pick, kinds: Mapping[str, float], recipe: Recipe, seconds: float, name: str, seed: int
+    pick: Pick, kinds: Sequence[str], recipe: Recipe, seconds: float, name: str, seed: int
 ) -> tuple[str, float] | None:
     """Text and duration [s] of a motion chosen in another way than by what it separates; None where none can run.
 
-    Pieces of the `kinds` (how often each is drawn) are picked one after the other, while all of them with the moves
+    Pieces of the `kinds` are picked one after the other, while all of them with the moves
     between them take no longer than `seconds`.
 
     Raises:

@@ -315,7 +315,7 @@ def test_the_noise_model_trusts_no_form_beyond_a_limit_and_has_no_columns_that_t
     amounts = np.sqrt(np.array([0, 0.0099, 0.0101]) / energy) * NOMINAL[1] / written.size[0][1]
     plain, less, more = (NoiseModel(fit, [], [HealthyForm(written.forms[0], one)], THE_LAW) for one in amounts)
     assert [[one.width(j)[1] - plain.width(j)[1] for j in range(2)] for one in (less, more)] == [[0, 0], [0, 2]]
-    with patch.object(noise_model, "_ROWS", PERIOD):
+    with patch.object(noise_model, "ROW_SPACING", PERIOD):
         assert NoiseModel(fit, [], (), THE_LAW).rows == len(fit.cell)
     form = [plain.variance(1, 2.0, form, {}) - plain.variance(1, 2.0, 0.0, {}) for form in (39_000.0, 41_000.0)]
     assert form == pytest.approx([97.5, 100.0])

@@ -110,7 +110,7 @@ def test_pieces_begin_and_end_stationary_in_the_sub_region(problem):
 def test_planned_joints_stay_within_their_range(problem):
     """The turn is made smaller rather than given up."""
     free = Pieces(problem, [3], 20.0, np.random.default_rng(1))
-    narrow = (-0.2, 0.9)
+    narrow = (-0.1, 0.7)
     kept = Pieces(replace(problem, joint_ranges={"joint_4": narrow}), [3], 20.0, np.random.default_rng(1))
     drawn = [[one for _ in range(60) if (one := pieces.draw()) is not None] for pieces in (free, kept)]
     turned, turned_less = ([one for one in some if one.draw.kind == "reversals"] for some in drawn)
@@ -161,10 +161,9 @@ def test_does_not_predict_a_separation_for_too_short_a_travel(arm, ambiguous):
 
 
 def test_random_loops_fill_the_time(problem):
-    """Every use of the robot's time gets the same of it: of short pieces there are more."""
-    loops = pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: True, {"loop": 1.0})
+    """Every use of the robot's time gets the same of it."""
+    loops = pieces_otherwise(as_drawn, problem, 60.0, 7, lambda pieces: True, ["loop"])
     assert {piece.draw.kind for piece in loops} == {"loop"}
-    assert len(loops) > 5
     assert 50.0 < sum(piece.duration for piece in loops) <= 60.0
 
 

@@ -209,7 +209,7 @@ def test_unauthorised_motions_end_the_rounds_and_keep_the_result(ask):
     assert found.last.result["verdict"] == "ambiguous"
 
 
-@pytest.mark.parametrize(("before", "after", "helps"), [(0.0, 0.5, True), (0.0, 0.2, False), (0.9, 0.92, False)])
+@pytest.mark.parametrize(("before", "after", "helps"), [(0.0, 0.6, True), (0.0, 0.2, False), (0.9, 0.92, False)])
 def test_a_motion_that_separates_one_side_only_still_helps(before, after, helps):
     expected = [SimpleNamespace(before_if=(before, None), after_if=(after, None))]
     expected += [SimpleNamespace(before_if=(1.0, 0.0), after_if=(1.0, 0.1))]

@@ -24,7 +24,6 @@ from agent.simulators import SIMULATOR
 
 _LEAST = 1.0  # s
 _OUTLIER = 5.0  # standard errors: a log of another day says no more against any hypothesis
-_HOLDS = 0.3  # of the torque that holds the arm: so near to it
 _BEYOND = 1.0  # of nominal torque: no zero of a channel
 _NOTABLE = 2 * Effect.practical  # of nominal torque: more shows
 
@@ -100,7 +99,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     held = (torque - friction)[0]
     loaded = np.abs(held) > _NOTABLE * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
     unheld = np.linalg.norm((mean - _known_offsets(model) - held)[loaded])
-    if loaded.any() and unheld < _HOLDS * np.linalg.norm(held[loaded]):
+    if loaded.any() and unheld < (1 - LIMITS.explained) * np.linalg.norm(held[loaded]):
         names = ", ".join(np.array(robot.joint_names)[loaded])
         raise InputError(
             f"{log.name}: the torque of {names} is what it takes to hold the arm there, so its drives are on: {again}"

@@ -54,11 +54,11 @@ class HeldTorque:
         return f"{SAME_MOTIONS} again, after you repair the torque measurement of {self.joint}"
 
 
-def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
+def held_torque(dataset: Dataset, fitted: Fit) -> HeldTorque | None:
     """The joint whose torque stands still where most of the gap is; None where none does, or there is hardly a gap.
 
-    It should change where the model and the effects `found` say so: a coupled axis may leave a motor at one speed. What
-    happens once does not count, as a push can be fitted to any torque that is held once.
+    It should change where the model and the effects of `fitted` say so: a coupled axis may leave a motor at one speed.
+    What happens once does not count, as a push can be fitted to any torque that is held once.
     """
     fit = dataset.fit
     excess = (dataset.residual / fit.sigma) ** 2 - 1
@@ -66,7 +66,7 @@ def held_torque(dataset: Dataset, found: Fit) -> HeldTorque | None:
     if whole <= 0:
         return None
     effects = np.zeros_like(dataset.residual)
-    for cause, values in zip(found.chosen, found.values, strict=True):
+    for cause, values in zip(fitted.chosen, fitted.values, strict=True):
         for joint, block in ({} if cause.transient else cause.blocks).items():
             effects[:, joint] += block @ values * fit.sigma[:, joint]
     predicted = [

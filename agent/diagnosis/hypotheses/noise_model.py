@@ -20,7 +20,7 @@ from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
 from agent.simulators import SIMULATOR
 
-_ROWS = 0.016  # numerical: s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
+ROW_SPACING = 0.016  # numerical: s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _FORM = 100.0  # numerical: of σ² per noise column for a wrong form, at most: moments are of float32 columns
 _NOTICED = 0.01  # numerical: energy over σ² of a direction of the noise model that is kept
 _DRIFT = 3.0  # numerical: s between the nodes of a drift in time
@@ -72,7 +72,7 @@ class NoiseModel:
         signals = fit.signals
         kept_time = np.concatenate([s.time[s.kept] for s in signals])
         rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-        self._rests, self._step = fit.rests, max(1, round(_ROWS * rate))
+        self._rests, self._step = fit.rests, max(1, round(ROW_SPACING * rate))
         thin = slice(None, None, self._step)
         self.sigma, self.nominal = fit.sigma[thin], fit.reference.scale
         self.rows = len(self.sigma)

@@ -12,8 +12,6 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Fold
 from agent.recording import PARTS, Log
 
-_MOVES = 0.01  # of a joint's highest speed in a log, from where on it moves
-
 
 def folds_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[Fold], list[Fold]]:
     """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
@@ -65,7 +63,7 @@ def part_borders(log: Log, least: int = 1) -> np.ndarray:
     if parts < 2:
         return np.empty(0)
     speed = np.abs(np.diff(log.position, axis=0))
-    moves = np.any(speed > _MOVES * speed.max(axis=0), axis=1)
+    moves = np.any(speed > LIMITS.negligible * speed.max(axis=0), axis=1)
     way = np.concatenate([[0.0], np.cumsum(moves * np.diff(log.t))])
     return np.interp(way[-1] * np.arange(1, parts) / parts, way, log.t)
 

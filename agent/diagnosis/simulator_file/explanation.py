@@ -233,15 +233,16 @@ def _misses(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap, number:
     return bool(beyond_usual(np.minimum(without, gap.before * gap.unit), dataset.fit)[joints].any())
 
 
-def with_numbers(verdict: Verdict, found: Explanation, numbers: Sequence[Cause]) -> Verdict:
+def with_numbers(verdict: Verdict, explanation: Explanation, numbers: Sequence[Cause]) -> Verdict:
     """The verdict with the numbers of the file among its causes, what closes most of the given file's gap first.
 
     A file without friction is wrong in its friction, whatever else is found next to it.
     """
-    if not found.selected.causes or not verdict.causes:
+    if not explanation.selected.causes or not verdict.causes:
         return verdict
     figures = {
-        (entry.effect, entry.joints): entry for entry in causes_of(found.dataset, found.selected, found.as_given)
+        (entry.effect, entry.joints): entry
+        for entry in causes_of(explanation.dataset, explanation.selected, explanation.as_given)
     }
     effects = [
         replace(entry, closure=figures[entry.effect, entry.joints].closure)

@@ -91,23 +91,24 @@ class ReleasedSimulator:
 
 
 def release(
-    dataset: Dataset, beside: Sequence[Candidate] = (), links: bool = True, kinds: Collection[str] | None = None
+    dataset: Dataset, causes: Sequence[Candidate] = (), links: bool = True, kinds: Collection[str] | None = None
 ) -> ReleasedSimulator:
     """Release group after group while that gains; without `links`, friction, rotors and servos only, or `kinds` alone.
 
     The delay of a command is free from the start: no file of a simulator knows that of a recorder.
 
-    The choice of numbers includes the effects `beside`. The numbers are then moved without them, as the search's start.
+    The choice of numbers includes the effects of `causes`. The numbers are then moved without them, as the start of the
+    search.
     """
     pool = [group for group in groups_of(dataset) if links or not group.moves_links]
     pool = pool if kinds is None else [group for group in pool if group.kind in (*kinds, DELAY)]
     if dataset.servos is not None:
-        return _moved(dataset, _needed(dataset, pool, beside))
+        return _moved(dataset, _needed(dataset, pool, causes))
     chosen: list[Group] = []
-    fit = dataset.fit.with_chosen(beside)
+    fit = dataset.fit.with_chosen(causes)
     least = LIMITS.least_gain * float(fit.count.sum())
     while pool:
-        tried = [released_fit(dataset, [*chosen, group]).with_chosen(beside) for group in pool]
+        tried = [released_fit(dataset, [*chosen, group]).with_chosen(causes) for group in pool]
         gains = [fit.error(fit.transient) - other.error(fit.transient) for other in tried]
         if max(gains) < least:
             break
@@ -116,7 +117,7 @@ def release(
         fit = tried[best]
         for group in chosen[:-1]:  # what was taken for it before may be needed no more, as a link further out
             others = [other for other in chosen if other is not group]
-            without = released_fit(dataset, others).with_chosen(beside)
+            without = released_fit(dataset, others).with_chosen(causes)
             if without.error(without.transient) - fit.error(fit.transient) < least:
                 chosen, fit = others, without
     return _moved(dataset, chosen)
@@ -285,7 +286,7 @@ def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
     return dataset.fit.with_prior(precision_of(covariance))
 
 
-def waterfall(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
+def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGap) -> tuple[WaterfallStep, ...]:
     """Part of the held-out gap that each released group, then each effect, closes: alone, and in the order found.
 
     Where a simulator is far off, a number alone may make the rest worse: steps are one until they close something.
@@ -297,12 +298,12 @@ def waterfall(found: ReleasedSimulator, selected: SelectedCauses, gap: HeldOutGa
     """
     if gap.closure is None:
         return ()
-    names, dataset = found.given.robot.joint_names, found.given
-    fits = [released_fit(dataset, found.groups[: k + 1]) for k in range(len(found.groups))]
-    alone = [released_fit(dataset, [group]).out_of_fold() for group in found.groups]
-    texts = [group.text(names) for group in found.groups]
+    names, dataset = released.given.robot.joint_names, released.given
+    fits = [released_fit(dataset, released.groups[: k + 1]) for k in range(len(released.groups))]
+    alone = [released_fit(dataset, [group]).out_of_fold() for group in released.groups]
+    texts = [group.text(names) for group in released.groups]
     plain, moved = dataset.fit, dataset.fit.with_chosen(selected.causes)
-    if not found.groups and dataset.given:  # a model fitted to the same logs has no own numbers to keep
+    if not released.groups and dataset.given:  # a model fitted to the same logs has no own numbers to keep
         held = plain.with_prior(precision_of(_HELD * dataset.held))
         by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(selected.causes), moved))
         plain = held if by_both - by_effects >= LIMITS.least_share else plain
@@ -445,7 +446,7 @@ def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
 
 
 def causes_of_numbers(
-    found: ReleasedSimulator,
+    released: ReleasedSimulator,
     selected: SelectedCauses,
     gap: HeldOutGap,
     doubtful: Collection[int] = (),
@@ -458,40 +459,40 @@ def causes_of_numbers(
     else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
     simulator as given.
     """
-    model, names = found.given.model, found.given.robot.joint_names
-    base, change = len(model.independent), found.moved.fit.change
+    model, names = released.given.model, released.given.robot.joint_names
+    base, change = len(model.independent), released.moved.fit.change
     probability = LAW.certain * min(gap.closure or 0.0, 1.0)
     called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
     causes = list[Cause]()
-    like_load = (EffectPlace(called["load"], ()),) if _may_be_load(found, selected.causes, gap) else ()
+    like_load = (EffectPlace(called["load"], ()),) if _may_be_load(released, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
-        part = gap.closure_without(_without(found, groups, selected.causes))
+        part = gap.closure_without(_without(released, groups, selected.causes))
         # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes
-        return part if part is None or found.given.servos is None else min(part, 1.0)
+        return part if part is None or released.given.servos is None else min(part, 1.0)
 
     bodies: list[Group] = []
-    for group in _causing(found, selected.causes, gap, doubted):
+    for group in _causing(released, selected.causes, gap, doubted):
         joint = () if group.joint < 0 else (names[group.joint],)
-        if load := _load(found, group):
+        if load := _load(released, group):
             like_links = (EffectPlace(called["links"], ()),)
-            own_part = _on_joint(found, group, selected.causes, gap)
+            own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(called["load"], (), closes(group), probability, load, like_links, own_part))
         elif group.kind == "friction":
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
             equal = (EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()
-            equal = (*equal, *(EffectPlace(name, joint) for name in likely_next_to(found, selected, group)))
-            own_part = _on_joint(found, group, selected.causes, gap)
+            equal = (*equal, *(EffectPlace(name, joint) for name in likely_next_to(released, selected, group)))
+            own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
-        elif group.kind == GAIN and found.given.servos is not None:
-            kp, more = found.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
+        elif group.kind == GAIN and released.given.servos is not None:
+            kp, more = released.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
             parameters = {"scale_error": float(kp / (kp + more) - 1)}
             equal = (*like_load, *((EffectPlace(called["friction"], joint),) if group.joint in doubtful else ()))
-            own_part = _on_joint(found, group, selected.causes, gap)
+            own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(called[GAIN], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == DELAY:
-            own_part = _on_joint(found, group, selected.causes, gap)
+            own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(
                 Cause(called[DELAY], (), closes(group), probability, {"delay": float(change[-1])}, (), own_part)
             )
@@ -499,9 +500,11 @@ def causes_of_numbers(
             bodies.append(group)
     if bodies:
         known = np.abs(change[:base]) > LIMITS.deviations * model.standard_deviations[:base]
-        torque = change[:base] ** 2 * np.diagonal(found.given.fit.gram.sum(axis=0))[:base]  # what makes most is first
+        torque = (
+            change[:base] ** 2 * np.diagonal(released.given.fit.gram.sum(axis=0))[:base]
+        )  # what makes most is first
         parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
-        last = any(group.kind == LINK and group.joint == found.given.robot.load_link for group in bodies)
-        as_load = (EffectPlace(called["load"], ()),) if last and found.given.servos is not None else ()
+        last = any(group.kind == LINK and group.joint == released.given.robot.load_link for group in bodies)
+        as_load = (EffectPlace(called["load"], ()),) if last and released.given.servos is not None else ()
         causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))

@@ -18,30 +18,28 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 
-_EDGE = 0.15  # share of the duration over which a force rises, and falls
-_EDGES = (0.02, 0.15, 0.5, 0.85, 0.98)  # numerical: the same, each for itself, where the torque tells the shape
+#: numerical: shares of the duration over which a force rises, and falls, each for itself where the torque tells it
+_EDGES = (0.02, 0.15, 0.5, 0.85, 0.98)
+_EDGE = _EDGES[1]  # usual
 _LINKS = 3  # numerical: links tried for the case that all pushes act on one link
 _DURATIONS = np.geomspace(0.2, 12.0, 14).tolist()  # s
 _STARTS = 0.05  # numerical: s between starts of windows
 _MOST_OF_LOG = 0.8  # largest share of its log that a push takes: a longer one is no event
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of this length; factor above it that a push needs
-_SHARP = 100.0  # the same factor for a push that may repeat with the cycle, next to one that does not
-_FROM_START = 20.0  # the same factor for a push that starts with the log, with no quiet time before it
+_SHARP = 30.0  # the same factor for one with no quiet time before it, or that repeats with the cycle next to another
 _CLEARANCE = 2.0  # durations before and after a push in which windows are compared with it
 _BORDER = _DURATIONS[0]  # s: what is nearer than the shortest push is as good as the same moment
 _ALONE = 2.0  # factor over the window at the same phase of another cycle
-_LEAST_GAIN_RATIO = 0.02  # least gain over that of the strongest push
+_LEAST_GAIN_RATIO = 0.02  # least gain over that of the strongest push; of a pause over that of its push
 _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
 _END_STEPS = 4  # numerical: steps by which each end moves while the shape is searched, over nearly half its duration
 _EDGE_STEPS, _EDGE_PARTS = 8, 40  # numerical: steps by which each end moves in the fit; steps per duration
 #: numerical: starts of the parts that are checked for a pause, per duration: as long as an edge, between the edges
 _PARTS = np.linspace(_EDGE, 1 - 2 * _EDGE, 10)
-_PAUSE, _SHOWS = 0.5, 0.1  # share of the force missing in a pause; least share of the usual gain to see it
 _UNKNOWN = -1  # numerical: whether a window has a pause
 _LOOK = 16  # numerical: windows that are looked at for a pause together, the strongest first
 _ROUNDS = 30  # numerical: alternating fits of force and point
 _WEAK = 1e-6  # regularisation over the mean information: moving the point along the force changes no torque
-_LARGE = 1 / 3  # size of a link in any direction over the arm's reach, if it is not longer
 
 
 class Contact(Effect):
@@ -215,15 +213,15 @@ class _Sums:
         return starts, np.einsum("ka,ka->k", pull, force), force
 
     def whole(self, starts: np.ndarray, duration: float, gain: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """(K,) bool: which forces (K, 3) [N] from `starts` for `duration` [s] pull in the middle of it as well, as far
-        as they would show there: else there are two with a pause between."""
+        """(K,) bool: which forces (K, 3) [N] from `starts` for `duration` [s] leave less error in every part of it than
+        none there, as far as it would show: else there are two with a pause between."""
         if duration * _EDGE < _DURATIONS[0] / 2:
             return np.ones(len(starts), dtype=bool)
         begin = starts + _PARTS[:, None] * duration  # (P, K)
         moments, pull = self.between(begin, begin + _EDGE * duration)
         expected = np.einsum("pkab,ka,kb->pk", moments, force, force)
-        missing = expected - np.einsum("pka,ka->pk", pull, force)
-        return np.all(missing <= _PAUSE * expected + _SHOWS * _EDGE * gain, axis=0)
+        lost = expected / 2 - np.einsum("pka,ka->pk", pull, force)
+        return np.all(lost <= _LEAST_GAIN_RATIO * gain, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,7 +392,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     alone = [
         push
         for push, around, again in compared
-        if push.gain > max((_FROM_START if push in bare else _STANDS_OUT) * around, _ALONE * again)
+        if push.gain > max((_SHARP if push in bare else _STANDS_OUT) * around, _ALONE * again)
     ]
     # next to a push that does not repeat, one that repeats counts too if nothing around it is similar
     return [p for p, around, _ in compared if p in alone or (alone and p.gain > _SHARP * around)]
@@ -495,8 +493,9 @@ def place_of(push: PushedWindow, motions: Motions) -> np.ndarray | None:
         columns = -np.concatenate([end, *levers], axis=1) / sigma[inside, None]
         moments += np.einsum("san,sbn->ab", columns, columns)
         side += np.einsum("san,sn->a", columns, (residual / sigma)[inside])
-        links = signals.reference.links
-        farthest = max(float(np.linalg.norm(links.link_ends()[push.link])), _LARGE * signals.reference.reach)
+        reference = signals.reference  # a link that is short in one direction is as large as the mean one in another
+        length = float(np.linalg.norm(reference.links.link_ends()[push.link]))
+        farthest = max(length, reference.reach / reference.robot.dof)
     place = np.zeros(3)
     for _ in range(_ROUNDS):
         of_force = np.kron(np.append(1.0, place), np.eye(3)).T

@@ -32,7 +32,7 @@ class EncoderOffset(Effect):
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:
-        return abs(values["offset"]) < 0.3
+        return abs(values["offset"]) < BENDS
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers:
         return SimulatorNumbers(zero=values["offset"])

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from agent.model.effects.effect import Numbers, near_one
 from agent.model.effects.experiments import SHARP_REVERSALS
-from agent.model.effects.two_mass import DAMPING, TwoMass
-
-_FREQUENCIES = np.geomspace(3.0, 36.0, 34)  # Hz
+from agent.model.effects.two_mass import DAMPING, FREQUENCIES, TwoMass
 
 
 class JointElasticity(TwoMass):
@@ -27,7 +23,7 @@ class JointElasticity(TwoMass):
     experiment = SHARP_REVERSALS
     residual_driven = True
     refined = ("stiffness", "damping")
-    grid = tuple((float(frequency), damping, 0.0) for frequency in _FREQUENCIES for damping in DAMPING)
+    grid = tuple((float(frequency), damping, 0.0) for frequency in FREQUENCIES for damping in DAMPING)
     few = grid[1::14]
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:

@@ -14,7 +14,8 @@ from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 
 _MASSLESS = 1e-9  # kg·m² or kg: a description of kinematics alone, whose links cannot ring
-DAMPING = (0.04, 0.12)  # ratios of a link that rings
+FREQUENCIES = np.geomspace(3.0, 36.0, 34)  # Hz of a link on its locked motor
+DAMPING = (0.04, 0.12)  # numerical: ratios of a link that rings, from which a search starts
 _RATE = 1500.0  # numerical: Hz of the integration, at least
 _TRIED = 2  # of a joint's grid, in full
 _SUSPECT = 1.3  # numerical: Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's

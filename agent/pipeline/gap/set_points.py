@@ -107,7 +107,7 @@ def plan_of_file(path: Path, folder: Path, console: Console, kinds: Sequence[str
 
 
 def next_set_points(
-    found: Diagnosis, simulator: Simulator | None, path: Path, folder: Path, console: Console
+    diagnosis: Diagnosis, simulator: Simulator | None, path: Path, folder: Path, console: Console
 ) -> dict[str, Any] | None:
     """Plan the set-points that separate what position logs leave open; returns `next_experiment` of the diagnosis.
 
@@ -116,13 +116,13 @@ def next_set_points(
     Raises:
         InputError: the logs have torque, or as `plan_of_file`.
     """
-    if simulator is None or found.dataset.servos is None:
+    if simulator is None or diagnosis.dataset.servos is None:
         raise InputError(f"diagnose: --next {path}: the logs have torque, so name a recipe (agent init)")
     console.step("weighing motions of set-points")
     limits, share = (plan := plan_set_points(servo_arm(path), _RATE)).limits, plan.share
     tried = {EXCITATIONS: "all of them", **{(kind,) * len(EXCITATIONS): kind for kind in EXCITATIONS}}
     motions = {name: excitation(limits, float(_FPS), share, kinds)[0] for kinds, name in tried.items()}
-    told = separations(found, simulator, {name: (ran.time, ran.set_points) for name, ran in motions.items()})
+    told = separations(diagnosis, simulator, {name: (ran.time, ran.set_points) for name, ran in motions.items()})
     if not told:
         console.warn(f"no effect or number is open, so nothing is written to {folder}")
         return None
