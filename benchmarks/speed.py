@@ -4,7 +4,8 @@
 
 CPU times (user and system) and peak memory of processes on one thread. Trees take turns and the best of two rounds
 counts, because other jobs on a machine only ever add. `--against` is a checkout of another commit (`git worktree add
-../before HEAD~1`). `--full` runs the quickstart as it is.
+../before HEAD~1`). `--full` runs the quickstart as it is. Ratios of rows do not depend on the machine: one above its
+bar (`BARS`) ends the benchmark with an error.
 """
 
 from __future__ import annotations
@@ -41,6 +42,11 @@ atexit.register(tell)
 runpy.run_module("agent", run_name="__main__")
 """
 Table = dict[str, dict[str, float]]  # by tree and row
+#: At most this many times the CPU time of another row. Do not raise one without a reason.
+BARS = (
+    ("diagnose, 4 logs of 20 s", "estimate, 3 logs of 20 s", 1.7),
+    ("diagnose, 9 logs of 20 s", "diagnose, 4 logs of 20 s", 2.0),
+)
 
 
 def main() -> None:
@@ -100,18 +106,20 @@ def commands(trees: dict[str, Path], folder: Path) -> None:
     """Commands on a minute of log, process start included."""
     minute, model, known = folder / "minute.mcap", folder / "model.json", folder / "known.json"
     write(minute, 60.0)
-    whole, short = [folder / f"whole{k}.mcap" for k in range(3)], [folder / f"stribeck{k}.mcap" for k in range(3)]
-    for k in range(3):
-        write(whole[k], 20.0, seed=k)
-        write(short[k], 20.0, seed=k, stribeck=250.0)
+    whole, short = [folder / f"whole{k}.mcap" for k in range(3)], [folder / f"stribeck{k}.mcap" for k in range(9)]
+    for k, log in enumerate(whole):
+        write(log, 20.0, seed=k)
+    for k, log in enumerate(short):
+        write(log, 20.0, seed=20 + k, stribeck=250.0)
     calls = {
         "estimate": ["estimate", "--robot", "comau_ns16", "-o", str(model), str(minute)],
         "validate": ["validate", "--model", str(model), str(minute)],
         "check": ["check", str(RECIPE)],
         "diagnose, 3 logs of 20 s, no gap": ["diagnose", "--robot", "comau_ns16", *map(str, whole)],
-        "diagnose, 3 logs of 20 s, a gap of one joint": ["diagnose", "--model", str(model), *map(str, short)],
+        "diagnose, 3 logs of 20 s, a gap of one joint": ["diagnose", "--model", str(model), *map(str, short[:3])],
         "estimate, 3 logs of 20 s": ["estimate", "--robot", "comau_ns16", "-o", str(known), *map(str, whole)],
-        "diagnose, 3 logs of 20 s, what is healthy known": ["diagnose", "--model", str(known), *map(str, short)],
+        "diagnose, 4 logs of 20 s": ["diagnose", "--model", str(known), *map(str, short[:4])],
+        "diagnose, 9 logs of 20 s": ["diagnose", "--model", str(known), *map(str, short)],
         "--help": ["--help"],
     }
     seconds: Table = {tree: {} for tree in trees}
@@ -123,6 +131,10 @@ def commands(trees: dict[str, Path], folder: Path) -> None:
                 seconds[tree][name] = min(seconds[tree].get(name, np.inf), spent)
     table("a minute of log, six joints, process start included [s of CPU]", trees, seconds)
     table("the same, peak memory [MiB]", trees, memory)
+    here = seconds["here"]
+    over = [(*bar, ratio) for bar in BARS if (ratio := here[bar[0]] / here[bar[1]]) > bar[2]]
+    if over:
+        raise SystemExit("\n".join("{0}: {3:.2f} times {1}, and {2} is the bar".format(*found) for found in over))
 
 
 def job(trees: dict[str, Path], folder: Path, full: bool) -> None:
