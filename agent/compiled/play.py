@@ -95,3 +95,64 @@ def driven_through_play(
                 speed[k] = fast
                 twisted[first + k, s] = angle[k]
     return torque, second, twisted
+
+
+@compiled("f8[:,::1](f8[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i8)")
+def servo_through_play(
+    motion: np.ndarray,
+    servo: np.ndarray,
+    stiffness: np.ndarray,
+    damper: np.ndarray,
+    gap: np.ndarray,
+    step: float,
+    substeps: int,
+) -> np.ndarray:
+    """(K, S) by how much a joint moves otherwise [rad] whose servo reads the link, behind K gears with play.
+
+    Motor and link are two bodies; teeth push and never pull. The link's load is that of the motion without play, and
+    friction holds the motor where it can. Semi-implicit steps, each with the motion straight between samples.
+
+    Args:
+        motion: (6, S) torque of the servo, load and speed of the link, inertia of the link, slope of its load, and 1
+            where the servo is not at its limit, along the motion without play.
+        servo: gain, its part of the damping, damping and Coulomb friction of the motor, its inertia, least and largest
+            torque.
+        stiffness: (K,) of the teeth [N·m/rad].
+        damper: (K,) while they touch [N·m·s/rad].
+        gap: (K,) [rad].
+        step: [s].
+        substeps: steps in a sample.
+    """
+    count, samples = len(gap), motion.shape[1]
+    kp, kv, viscous, coulomb, rotor, low, high = servo
+    moved = np.zeros((count, samples))
+    for g in range(count):
+        spring, half = stiffness[g], 0.5 * gap[g]
+        least = step * max(step * spring, damper[g])  # the lightest body that the steps can follow
+        inertia = max(rotor, least)
+        held = step * coulomb / (inertia + step * viscous)
+        load = motion[1, 0]
+        lead = load / spring + (half if load >= 0 else -half)
+        away, rate, lead_rate, turning = 0.0, 0.0, 0.0, motion[2, 0]
+        for s in range(samples - 1):
+            moved[g, s] = away
+            mass, slope, pulls = max(motion[3, s], least), motion[4, s], motion[5, s]
+            for i in range(substeps):
+                middle = (i + 0.5) / substeps
+                torque = motion[0, s] + middle * (motion[0, s + 1] - motion[0, s])
+                load = motion[1, s] + middle * (motion[1, s + 1] - motion[1, s])
+                speed = motion[2, s] + (i + 1.0) / substeps * (motion[2, s + 1] - motion[2, s])
+                passed = 0.0
+                if lead > half:
+                    passed = max(spring * (lead - half) + damper[g] * lead_rate, 0.0)
+                elif lead < -half:
+                    passed = min(spring * (lead + half) + damper[g] * lead_rate, 0.0)
+                torque = min(max(torque - pulls * (kp * away + kv * rate), low), high)
+                turning = (turning * inertia + step * (torque - passed)) / (inertia + step * viscous)
+                turning = np.sign(turning) * max(abs(turning) - held, 0.0)
+                rate += step * (passed - load - slope * away) / mass
+                away += step * rate
+                lead_rate = turning - speed - rate
+                lead += step * lead_rate
+        moved[g, samples - 1] = away
+    return moved

@@ -148,7 +148,8 @@ class MotionSignals:
     `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
     began, counted from the first log: all for effects that happen at some time. `low_pass` is the torque's filter, of
     whose samples it returns `kept`. Where positions are judged instead of torque, `answer` says what they show of
-    torque columns (S, K) by joint: (S', K) by joint.
+    torque columns (S, K) by joint: (S', K) by joint. `through_play` says what they show, (S', K), of a joint whose
+    servo reads its link, behind gears with stiffness, gap and damping ratio (K,).
     """
 
     reference: NominalModel
@@ -162,6 +163,7 @@ class MotionSignals:
     started: float = 0.0
     low_pass: Callable[[np.ndarray], np.ndarray] = np.asarray
     answer: Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]] | None = None
+    through_play: Callable[[int, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
     memory: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     def remembered(self, key: Hashable, make: Callable[[], T]) -> T:

@@ -24,6 +24,7 @@ from fake_controller.servoed.recording import Recorder, ServoFault, change_over_
 
 _FASTEST = 2.0  # rad/s of a command
 _NEAREST = 0.9  # of the largest lag behind the command, where commands are cut
+_CLOSED = 1e-9  # rad of a gear whose play is closed: its steps are as fine, so jitter of the frames is the same
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -41,7 +42,8 @@ def write(job: Mapping[str, Any]) -> dict[str, Any]:
     recorder = Recorder(frames["rate"], frames["jitter"], np.inf, 0.0)
     plain = None
     if frames["clipped"] or truth["effects"]:
-        plain = _recorded(arm, (), targets, recorder, seed)
+        closed = [{**e, "parameters": {"gap": _CLOSED}} for e in truth["effects"] if e["effect"] == "backlash"]
+        plain = _recorded(arm, closed, targets, recorder, seed)
     if plain is not None and frames["clipped"]:
         lag = max(float(np.abs(r - q).max()) for r, q in zip(targets, plain, strict=True))
         recorder = replace(recorder, nearest=_NEAREST * lag)

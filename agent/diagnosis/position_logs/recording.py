@@ -16,10 +16,11 @@ from agent.diagnosis.rows.rounding import rounding_step
 from agent.model import MotionSignals, NominalModel
 from agent.recording import Log
 from agent.robot import ParameterLayout
-from agent.simulators import FreeMotion, FreeSimulator, RecordedCommand, ServoNumbers
+from agent.simulators import FreeMotion, FreeSimulator, PositionServos, RecordedCommand, ServoNumbers
 
 _STEP = 5e-3  # numerical: s, at most, between the instants of the linearised motion
 _LATER = 5e-4  # numerical: s, by which a command is moved to tell what a delay changes
+_RATE = 2000.0  # numerical: Hz of the steps of gears, at least
 _FAR = 1.5  # rad or m from the set-points in the middle: they are of another unit or zero
 
 
@@ -102,7 +103,7 @@ class CommandedStretch:
         kept = slice(self.unsettled * every, None, every)
         signals = MotionSignals(reference, *state, self.log_index, kept)
         response = LinearResponse.along(signals, there, numbers, simulator.servos.damping, simulator.creep)
-        return LinearisedMotion(self, there, signals, response)
+        return LinearisedMotion(self, there, signals, response, numbers, simulator.servos)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +114,8 @@ class LinearisedMotion:
     motion: FreeMotion
     signals: MotionSignals
     response: LinearResponse
+    numbers: ServoNumbers
+    servos: PositionServos
 
     def number_columns(self, simulator: FreeSimulator, numbers: ServoNumbers) -> np.ndarray:
         """(S', n, 5 n + 1) change of the judged positions with each number, kind by kind as in `ServoNumbers.table`.
@@ -134,6 +137,37 @@ class LinearisedMotion:
             wider = -numbers.kp * self.stretch.cut_change.between(edges, numbers.delay) * free
             columns[:, :, -1:] = self.response.of_torque({j: wider[:, j : j + 1] for j in range(n)})
         return columns
+
+    def through_play(self, joint: int, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        """(S', K) change of the judged positions of a joint whose servo reads its link, behind K gears with play.
+
+        Stiffness [N·m/rad], gap [rad] and damping ratio of the link (K,). What a gear without play makes is taken off.
+        """
+        from agent.compiled import servo_through_play
+
+        m, signals, numbers = self.motion, self.signals, self.numbers
+        mass = signals.mass[:, joint, joint]
+        slope = signals.link_slope[:, joint, joint]
+        along = m.torque, signals.link_load, m.qd, ~m.limited
+        torque, load, speed, pulls = (part[:, joint].astype(float) for part in along)
+        damping_of_servo = min(float(self.servos.damping[joint]), float(numbers.damping[joint]))
+        kinds = numbers.kp, numbers.damping - damping_of_servo, numbers.friction, numbers.armature
+        kp, viscous, friction, armature = (float(kind[joint]) for kind in kinds)
+        limits = float(self.servos.low[joint]), float(self.servos.high[joint])
+        servo = np.array([kp, damping_of_servo, viscous, friction, armature, *limits])
+        substeps = max(2, int(np.ceil(_RATE * np.median(np.diff(m.time)))))
+        damper = 2 * damping * np.sqrt(stiffness * mass.mean())
+        both = servo_through_play(
+            np.stack([torque, load, speed, mass, slope, pulls]),
+            servo,
+            np.concatenate([stiffness, stiffness]),
+            np.concatenate([damper, damper]),
+            np.concatenate([gap, np.zeros(len(gap))]),
+            float(np.median(np.diff(m.time))) / substeps,
+            substeps,
+        )
+        with_play, without = np.split(both, 2)
+        return np.asarray((with_play - without).T[signals.kept])
 
     @property
     def rows(self) -> slice:

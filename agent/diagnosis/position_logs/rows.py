@@ -71,7 +71,10 @@ def assemble_positions(
         at_file = residual + columns @ away
         for j in range(n):
             rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
-        signals.append(replace(line.signals, reference=reference, answer=_answer(line), kept=line.rows))
+        shown = _answer(line), _through_play(line)
+        signals.append(
+            replace(line.signals, reference=reference, kept=line.rows, answer=shown[0], through_play=shown[1])
+        )
     joined = [np.concatenate(part) for part in rows]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
@@ -174,3 +177,12 @@ def _answer(line: LinearisedMotion) -> Callable[[Mapping[int, np.ndarray]], dict
         return {j: moved[:, j] for j in range(moved.shape[1])}
 
     return answer
+
+
+def _through_play(line: LinearisedMotion) -> Callable[[int, np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """What the positions of a joint show of gears with play before what its servo reads."""
+
+    def through_play(joint: int, stiffness: np.ndarray, gap: np.ndarray, damping: np.ndarray) -> np.ndarray:
+        return line.stretch.averaged(line.through_play(joint, stiffness, gap, damping))
+
+    return through_play

@@ -161,10 +161,16 @@ def _of_motion(
 ) -> np.ndarray:
     """The same of a further motion."""
     columns = [model_columns(line, diagnosis.dataset.fit.reference, numbers)]
+    signals = replace(line.signals, through_play=line.through_play)
     for form in forms:
-        form.effect.prepare([line.signals], [(form.joints, form.settings)])
-        torque = form.effect.columns(line.signals, form.joints, form.settings)
-        columns.append(line.response.of_torque(torque))
+        form.effect.prepare([signals], [(form.joints, form.settings)])
+        if (shown := form.effect.in_positions(signals, form.joints, form.settings)) is None:
+            columns.append(line.response.of_torque(form.effect.columns(signals, form.joints, form.settings)))
+        else:
+            moved = np.zeros((*columns[0].shape[:2], len(form.names)))
+            for joint, block in shown.items():
+                moved[:, joint] = block
+            columns.append(moved)
     rows = np.concatenate(columns, axis=2) / diagnosis.dataset.fit.sigma.min(axis=0)[:, None]
     rate = 1 / float(np.median(np.diff(line.stretch.time)))
     flat = rows.reshape(-1, rows.shape[2])

@@ -174,7 +174,16 @@ def _answered(
 ) -> None:
     """Add what positions show of each candidate to its parts: a torque on one joint moves its neighbours too."""
     assert signals.answer is not None
-    columns = [effect.columns(signals, joints, settings) for effect, joints, settings in wanted]
+    torques = []
+    for number, (effect, joints, settings) in enumerate(wanted):
+        if (shown := effect.in_positions(signals, joints, settings)) is None:
+            torques.append(number)
+            continue
+        for joint, block in shown.items():
+            parts[number].setdefault(joint, []).append(block / over[joint])
+    if not torques:
+        return
+    columns = [effect.columns(signals, joints, settings) for effect, joints, settings in (wanted[k] for k in torques)]
     widths = [next(iter(of_form.values())).shape[1] for of_form in columns]
     ends = np.cumsum([0, *widths])
     together: dict[int, np.ndarray] = {}
@@ -183,7 +192,7 @@ def _answered(
             into = together.setdefault(joint, np.zeros((len(signals.time), int(ends[-1]))))
             into[:, first:last] = block
     for joint, moved in signals.answer(together).items():
-        for number, (first, last) in enumerate(pairwise(ends.tolist())):
+        for number, (first, last) in zip(torques, pairwise(ends.tolist()), strict=True):
             parts[number].setdefault(joint, []).append(moved[:, first:last] / over[joint])
 
 

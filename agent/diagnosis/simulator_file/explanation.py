@@ -23,6 +23,7 @@ import numpy as np
 from agent.core import InputError
 from agent.diagnosis.document import Cause, WaterfallStep
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
@@ -211,7 +212,11 @@ def _search_with(
     moved = released.moved
     left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
-    selected, gap = supported(moved, named(search.run()), unit)
+    searched = search.run()
+    selected = named(searched)
+    if hunting := [k for k in range(len(searched.causes)) if not selected.causes and _hunts(moved, searched, k)]:
+        selected = searched.only(hunting, leaves_gap=True)
+    selected, gap = supported(moved, selected, unit)
     large = [k for k in range(len(selected.causes)) if _misses(moved, selected, gap, k)]
     kept = [k for k in large if _possible(model, selected.fit, k)]
     if len(kept) < len(selected.causes):
@@ -224,13 +229,24 @@ def _misses(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap, number:
     """Whether the arm errs by more than with a right file without causes; positions on the joints of a cause, and
     without this one alone too.
 
-    With torque a small effect may be named next to a large one.
+    With torque a small effect may be named next to a large one, and in positions a servo that `_hunts`.
     """
     if dataset.servos is None:
         return bool(beyond_usual(gap.before * gap.unit, dataset.fit).any())
+    if _hunts(dataset, selected, number):
+        return True
     without = rms(gap.beyond(selected.fit.out_of_fold(selected.fit.transient, number)))
     joints = list(selected.causes[number].joints) or slice(None)
     return bool(beyond_usual(np.minimum(without, gap.before * gap.unit), dataset.fit)[joints].any())
+
+
+def _hunts(dataset: Dataset, selected: SelectedCauses, number: int) -> bool:
+    """Whether a cause is a servo that hunts in a play: now and then, never twice alike, and as nothing smooth does.
+
+    So it may be less than an error of friction on the whole, and its form leaves more than that of other effects.
+    """
+    twists = dataset.servos is not None and "twist" in selected.causes[number].effect.shapes
+    return twists and selected.probability[number] >= LAW.sure and selected.irreplaceable(number)
 
 
 def with_numbers(verdict: Verdict, explanation: Explanation, numbers: Sequence[Cause]) -> Verdict:

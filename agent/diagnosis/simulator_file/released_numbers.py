@@ -418,26 +418,30 @@ def _causing(
 ) -> list[Group]:
     """The released groups that may be a cause: all where torque is judged.
 
-    Not those of joints that err no more than a right file does without all of their own numbers, nor of `doubted` ones,
-    which have a remainder, nor a delay or links without which no joint errs more, nor links where the joint on which
-    they close most is doubted.
+    Not numbers of a joint without which, taken back one after the other, it errs no more than a right file does, nor of
+    `doubted` joints, which have a remainder, nor a delay or links without which no joint errs more, or that close most
+    on a doubted one.
     """
     if released.given.servos is None:
         return list(released.groups)
-    fit, links = released.given.fit, [group for group in released.groups if group.moves_links]
+    fit, kept = released.given.fit, list[Group]()
     late = [group for group in released.groups if group.kind == DELAY]
-    kept = late if beyond_usual(rms(gap.beyond(_without(released, late, causes))), fit).any() else []
+    for of_arm in filter(None, (late, [group for group in released.groups if group.moves_links])):
+        without = rms(gap.beyond(_without(released, of_arm, causes)))
+        closed = (without**2 - (gap.after * gap.unit) ** 2) / fit.sigma.min(axis=0) ** 2
+        if beyond_usual(without, fit).any() and int(np.argmax(closed)) not in doubted:
+            kept += of_arm
     for joint in sorted(set(range(len(fit.rows))) - set(doubted)):
         own = [group for group in released.groups if group.joint == joint and not group.moves_links]
-        without = rms(gap.beyond(_without(released, own, causes))) if own else gap.after
-        kept += own if beyond_usual(without, fit)[joint] else []
-    if links:
-        without = rms(gap.beyond(_without(released, links, causes)))
-        links = links if beyond_usual(without, fit).any() else []
-    if links and doubted:
-        closed = without**2 - (gap.after * gap.unit) ** 2
-        links = links if int(np.argmax(closed / fit.sigma.min(axis=0) ** 2)) not in doubted else []
-    return [group for group in released.groups if any(group is other for other in (*kept, *links))]
+        spared: list[Group] = []
+        while own:  # of numbers that stand in for each other one has to be wrong, not all
+            errors = [rms(gap.beyond(_without(released, [*spared, group], causes))) for group in own]
+            least = min(range(len(own)), key=lambda k: float(errors[k][joint]))
+            if beyond_usual(errors[least], fit)[joint]:
+                break
+            spared.append(own.pop(least))
+        kept += own
+    return [group for group in released.groups if any(group is other for other in kept)]
 
 
 def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:

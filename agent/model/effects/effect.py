@@ -199,6 +199,10 @@ class Effect(ABC):
         """`columns` after the torque filter, where many forms share few filtered parts; None: filter each column."""
         return None
 
+    def in_positions(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns | None:
+        """(S', k) by joint what positions show of it, where that is no torque's; None: what they show of `columns`."""
+        return None
+
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
         """(k, k) precision of a zero-mean prior on the parameters; None: there is no prior."""
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -93,14 +93,24 @@ class TwoMass(Effect):
         (k,) = joints
         if _inertia(context, k) <= _MASSLESS:
             return []
-        tried, columns = self._alone(context)[k]
+        return self._refined(context, k, *self._alone(context)[k], self._on_joint)
+
+    def _refined(
+        self,
+        context: FitContext,
+        k: int,
+        tried: Sequence[dict[str, float]],
+        columns: np.ndarray,
+        on_joint: Callable[[FitContext, int, Sequence[Mapping[str, float]]], np.ndarray],
+    ) -> list[dict[str, float]]:
+        """The best of what was tried, with columns (S', K) on the joint alone, and of its neighbours."""
         best, gain = self._best(context, k, tried, columns)
         energy = _energy(context)[k]
         for factor in _NEIGHBOURS:
             if gain < _PROMISING * energy * len(columns) or (context.given and energy <= 1):
                 break
             near = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
-            best, gain = self._best(context, k, near, self._on_joint(context, k, near))
+            best, gain = self._best(context, k, near, on_joint(context, k, near))
         return best
 
     def _best(
@@ -115,8 +125,9 @@ class TwoMass(Effect):
     def _neighbours(self, entry: dict[str, float], factor: float) -> list[dict[str, float]]:
         """Every combination of nonlinear parameters a step up, as they are, and a step down."""
         steps = {"stiffness": factor**2, "damping": factor**4, "gap": factor}
-        values = [[entry[name] * steps[name] ** power for power in (-1, 0, 1)] for name in entry]
-        return [dict(zip(entry, combination, strict=True)) for combination in product(*values)]
+        moved = [name for name in entry if name in steps]
+        values = [[entry[name] * steps[name] ** power for power in (-1, 0, 1)] for name in moved]
+        return [{**entry, **dict(zip(moved, combination, strict=True))} for combination in product(*values)]
 
     def _alone(self, context: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
         """Per joint: the grid, and (S', len(grid)) torque on this joint alone, motions concatenated."""
@@ -167,7 +178,7 @@ class TwoMass(Effect):
     def reported(self, reference: NominalModel, settings: Numbers, values: Numbers) -> dict[str, float]:
         return _behind_the_gear({**settings, **values})
 
-    def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any]:
+    def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any] | None:
         """With the damper of a link of its mean inertia."""
         whole = _behind_the_gear(values)
         return {**whole, "damper": 2 * whole["damping"] * math.sqrt(whole["stiffness"] * inertia[0])}
