@@ -13,6 +13,7 @@ import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -95,7 +96,10 @@ def columns(rows: Sequence[JointSample] | Sequence[SetPoint], *names: str) -> li
     return [np.array([getattr(row, name) for row in rows]) for name in names]
 
 
-class _Reader:
+Read = TypeVar("Read", bound=JointSample | SetPoint)
+
+
+class JointReader(Generic[Read]):
     """Numbers by joint from CDR bytes that begin with a header and names.
 
     Names are looked up once, and again where they or their number change. Messages without all of the joints are other
@@ -103,6 +107,7 @@ class _Reader:
     """
 
     topic = ""
+    arrays = 0  # of numbers, that are read
 
     def __init__(self, joints: Sequence[str]) -> None:
         self._joints = tuple(joints)
@@ -112,8 +117,8 @@ class _Reader:
         self._count = 0
         self._missing = np.full(len(self._joints), np.nan)
 
-    def _rows(self, data: bytes, count: int) -> tuple[float, list[np.ndarray]] | None:
-        """Stamp [s] and the first arrays (n,) in the order of the joints.
+    def read(self, data: bytes) -> Read | None:
+        """What the message says, in the order of the joints; None where it has not all of them.
 
         Raises:
             ProtocolError: another type, or damaged.
@@ -123,16 +128,19 @@ class _Reader:
                 self._look(data)
             at = self._begin
             arrays = []
-            for _ in range(count):
+            for _ in range(self.arrays):
                 array, at = _numbers(data, at)
                 arrays.append(array)
             if self._order is None:
                 return None
             sec, nanosec = struct.unpack_from("<iI", data, _ENCAPSULATION)
-            return sec + 1e-9 * nanosec, [self._ordered(array) for array in arrays]
+            return self._made(data, sec + 1e-9 * nanosec, [self._ordered(array) for array in arrays])
         except (struct.error, ValueError, IndexError) as error:  # UnicodeDecodeError is a ValueError
             self._known = []
             raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
+
+    def _made(self, data: bytes, stamp: float, rows: list[np.ndarray]) -> Read:
+        raise NotImplementedError
 
     def _look(self, data: bytes) -> None:
         self._known, names, self._begin = _names(data)
@@ -150,39 +158,22 @@ class _Reader:
         return ordered
 
 
-class JointStateReader(_Reader):
+class JointStateReader(JointReader[JointSample]):
     """Reads JointStates of these joints."""
 
-    topic = JOINT_STATES
+    topic, arrays = JOINT_STATES, 3
 
-    def read(self, data: bytes) -> JointSample | None:
-        """The sample, or None where this message has not all of the joints.
-
-        Raises:
-            ProtocolError: no JointState.
-        """
-        rows = self._rows(data, 3)
-        return None if rows is None else JointSample(rows[0], rows[1][0], rows[1][1], rows[1][2])
+    def _made(self, data: bytes, stamp: float, rows: list[np.ndarray]) -> JointSample:
+        return JointSample(stamp, *rows)
 
 
-class SetPointReader(_Reader):
+class SetPointReader(JointReader[SetPoint]):
     """Reads JointTrajectoryControllerStates from Jazzy on: reference first, the speed scaling factor last."""
 
-    topic = "controller_state"
+    topic, arrays = "controller_state", 2
 
-    def read(self, data: bytes) -> SetPoint | None:
-        """The set-point, or None where it is of other joints.
-
-        Raises:
-            ProtocolError: no such message.
-        """
-        rows = self._rows(data, 2)
-        if rows is None:
-            return None
-        try:
-            return SetPoint(rows[0], rows[1][0], rows[1][1], _scaling(data, self._begin))
-        except (struct.error, ValueError) as error:
-            raise ProtocolError(f"a message on {self.topic} is damaged, or of another type: {error}") from None
+    def _made(self, data: bytes, stamp: float, rows: list[np.ndarray]) -> SetPoint:
+        return SetPoint(stamp, rows[0], rows[1], _scaling(data, self._begin))
 
 
 def _names(data: bytes) -> tuple[list[tuple[int, bytes]], list[str], int]:

@@ -40,6 +40,7 @@ class LinkThread:
     watchdog = WATCHDOG
     _handles: Iterable[socket] = ()
     _heard = False  # something in this turn, that shows that the peer lives
+    _silent_for = 0.0  # s, of all turns since then
 
     def __init__(self, peer: str, on_failure: Callable[[DriverError], None]) -> None:
         self.peer = peer
@@ -113,7 +114,6 @@ class LinkThread:
         Raises:
             DriverError: nothing was heard for a watchdog while `guarded`.
         """
-        silence = 0.0
         with selectors.DefaultSelector() as selector:
             for handle in handles:
                 selector.register(handle, selectors.EVENT_READ)
@@ -121,12 +121,21 @@ class LinkThread:
                 began, wait = time.monotonic(), min(self.watchdog, WATCHDOG) / 4 if longest is None else longest
                 self._heard = False
                 ready = [key.fileobj for key, _ in selector.select(wait)]
-                # A stall of this process is not the peer's silence: no turn counts for more than it should last.
-                waited = min(time.monotonic() - began, wait)
+                waited = time.monotonic() - began
                 yield ready
-                silence = 0.0 if self._heard else silence + waited
-                if self.guarded and silence >= self.watchdog:
-                    raise self._fell_silent()
+                self._count_silence(waited, wait)
+
+    def _count_silence(self, waited: float, longest: float) -> None:
+        """End a turn that took `waited` [s].
+
+        A stall of this process is not the peer's silence: no turn counts for more than it should last, `longest` [s].
+
+        Raises:
+            DriverError: nothing was heard for a watchdog while `guarded`.
+        """
+        self._silent_for = 0.0 if self._heard else self._silent_for + min(waited, longest)
+        if self.guarded and self._silent_for >= self.watchdog:
+            raise self._fell_silent()
 
     def _work(self) -> None:
         """Read until `_closing` is set."""
@@ -237,8 +246,14 @@ class LinkDriver(Generic[Link, Motion]):
         self._link.check()
         return self._link
 
+    @property
+    def _running(self) -> Motion | None:
+        """The motion that is not over, if there is one."""
+        motion = self._motion
+        return None if motion is None or motion.over else motion
+
     def _check_over(self) -> None:
-        if self._motion is not None and not self._motion.over:
+        if self._running is not None:
             raise DriverError("the last motion is not over yet; read its samples to the end, or stop it")
 
     @contextlib.contextmanager

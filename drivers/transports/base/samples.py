@@ -161,6 +161,12 @@ class SampleStream:
             return "its samples show a stationary arm until then"
         return f"meanwhile a joint moved by {self._farthest:.3f} rad: look at the arm, and for another program there"
 
+    @property
+    def unread(self) -> int:
+        """Samples that wait for the consumer."""
+        with self._changed:
+            return sum(len(block) for block in self._ready)
+
     def too_full(self) -> DriverError | None:
         """Where the consumer is too far behind: the error that the motion is to end with, once it is stopped."""
         if self.size <= self._limit:

@@ -18,7 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from typing import IO, Any, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -56,10 +56,12 @@ class BrakeProcess:
             start_new_session=True,  # a Ctrl-C at the terminal is for the agent alone
             bufsize=0,
         )
-        assert self._process.stdin is not None
-        pipe = self._process.stdin.fileno()
-        os.set_blocking(pipe, False)  # one that is stopped must not stop the guard
-        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PAGE)  # and is noticed once that is full
+        orders, words = self._process.stdin, self._process.stdout
+        assert orders is not None
+        assert words is not None
+        self._orders, self._words = orders, words
+        os.set_blocking(orders.fileno(), False)  # one that is stopped must not stop the guard
+        fcntl.fcntl(orders.fileno(), fcntl.F_SETPIPE_SZ, _PAGE)  # and is noticed once that is full
         self._ready = False
 
     def wait_ready(self, timeout: float) -> None:
@@ -68,21 +70,15 @@ class BrakeProcess:
         Raises:
             DriverError: it has ended, or does not see the arm in time.
         """
-        out: IO[bytes] | None = self._process.stdout
-        assert out is not None
         until = time.monotonic() + timeout
         while not self._ready:
-            readable, _, _ = select.select([out], [], [], max(0.0, until - time.monotonic()))
-            line = out.readline().decode().strip() if readable else ""
+            readable, _, _ = select.select([self._words], [], [], max(0.0, until - time.monotonic()))
+            line = self._words.readline().decode().strip() if readable else ""
             if line != _READY:
+                late, ended = f"did not see the arm within {timeout:g} s", f"has ended: {line or 'no word'}"
                 raise DriverError(
-                    "the second process, which brakes the arm when the agent is gone, "
-                    + (
-                        f"did not see the arm within {timeout:g} s"
-                        if not readable
-                        else f"has ended: {line or 'no word'}"
-                    )
-                    + "; nothing moved. Run the command again"
+                    f"the second process, which brakes the arm when the agent is gone, {ended if readable else late}; "
+                    "nothing moved. Run the command again"
                 )
             self._ready = True
 
@@ -110,10 +106,9 @@ class BrakeProcess:
         """End it without braking; never raises."""
         with contextlib.suppress(OSError):
             self._say("disarm")
-        for stream in (self._process.stdin, self._process.stdout):
+        for stream in (self._orders, self._words):
             with contextlib.suppress(OSError):
-                if stream is not None:
-                    stream.close()
+                stream.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(2.0)
             return
@@ -121,9 +116,8 @@ class BrakeProcess:
         self._process.wait()
 
     def _say(self, line: str) -> None:
-        pipe = self._process.stdin
         with self._lock, contextlib.suppress(OSError, ValueError):  # one that has ended is seen by `alive`
-            if pipe is not None and pipe.write(line.encode() + b"\n") is None:
+            if self._orders.write(line.encode() + b"\n") is None:
                 self._deaf = True
 
 

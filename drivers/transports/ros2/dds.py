@@ -63,11 +63,8 @@ class Dds:
         from cyclonedds.topic import Topic
         from cyclonedds.util import duration
 
-        reliability = (
-            Policy.Reliability.BestEffort
-            if self.best_effort(topic)
-            else Policy.Reliability.Reliable(max_blocking_time=duration(seconds=1))
-        )
+        reliable = Policy.Reliability.Reliable(max_blocking_time=duration(seconds=1))
+        reliability = Policy.Reliability.BestEffort if self.best_effort(topic) else reliable
         kind = message_types()[f"{package}.{name}"]
         qos = Qos(reliability, Policy.History.KeepLast(DEPTH))
         reader = DataReader(self._participant, Topic(self._participant, f"rt{topic}", kind), qos=qos)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import sys
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, LinkStopped, RefusedError
 from drivers.joint_trajectory import LONGEST, GoalProgram
 from drivers.protocol import Identity, Status
+from drivers.transports.base.kept import KeptProgram
 from drivers.transports.base.link import LinkDriver, check_currents
 from drivers.transports.ros2 import preconditions
 from drivers.transports.ros2.brake import BrakeProcess
@@ -66,8 +68,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
         self._manager: dict[str, Any] = {}
         self._period = 0.0
         self._by_goal = False
-        self._stored: GoalProgram | None = None
-        self._name = ""
+        self._stored = KeptProgram[GoalProgram]()
         self._brake: BrakeProcess | None = None
 
     def endpoints(self) -> tuple[str, ...]:
@@ -91,7 +92,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     def _open(self) -> None:
         """See the controller, its parameters, its joints' samples, and that nobody else commands it."""
-        self._stored = None
+        self._stored = KeptProgram()
         link = self._link = RosLink(
             self._target, self._timeout, self._on_sample, self._on_state, self._on_turn, self._on_failure
         )
@@ -140,7 +141,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             robot=named[1].decode("utf-8", "replace"),
             serial=f"urdf-{digest[:12]}",
             controller="JointTrajectoryController",
-            version=_distribution(),
+            version=os.environ.get("ROS_DISTRO", "") or f"rclpy of {sys.prefix}",
             joint_names=link.joints,
             period=self._period,
             watch_only=watch_only,
@@ -154,9 +155,6 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     def status(self) -> Status:
         """What the samples say; ROS 2 has no common word for modes, drives and stops, so a person confirms them."""
         link = self._connected()
-        sample = self._latest(link)
-        streaming = self._motion is not None and not self._motion.over
-        text = "" if self._stored is None else self._stored.text
         return Status(
             drives_on=True,
             mode="auto",
@@ -164,10 +162,10 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             alarms=(),
             override=1.0 if link.scaling is None else float(link.scaling),
             cell_closed=True,
-            moving=streaming or bool(np.abs(link.velocity).max() > 0.05),
-            program=self._name,
-            checksum=_checksum(text) if text else "",
-            position=sample.position.astype(float),
+            moving=self._running is not None or bool(np.abs(link.velocity).max() > 0.05),
+            program=self._stored.name,
+            checksum=self._stored.checksum,
+            position=link.latest.position.astype(float),
             emulator=bool(self._parameters.get("emulated_by_calibration_agent")),
             override_known=link.scaling is not None,
             modes_known=False,
@@ -175,7 +173,7 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     def resting(self) -> tuple[np.ndarray, np.ndarray]:
         """`ReportsEffort`: of the sample that came last."""
-        sample = self._latest(self._connected())
+        sample = self._connected().latest
         if self.effort != "current":
             return sample.position, sample.effort
         check_currents(self.torque_per_ampere, len(sample.position))
@@ -193,23 +191,21 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             RefusedError: no program, one whose goals could not be left alone, or the arm moves.
         """
         link = self._connected()
-        if self._motion is not None and not self._motion.over:
+        if self._running is not None:
             raise RefusedError("no program is taken while the arm moves; stop it first")
-        self._stored, self._name = None, ""
-        self._stored, self._name = GoalProgram.of(text), name
+        self._stored = KeptProgram()
+        checksum = self._stored.keep(name, GoalProgram.of(text))
         if self._brake is None or not self._brake.alive:
             self._brake = BrakeProcess(self._text, link.joints, f"{link.name}_brake")
             self._brake.wait_ready(self._start_timeout)
             link.forget()
-        return _checksum(text)
+        return checksum
 
     def start(self, name: str, checksum: str) -> None:
         """Send the first goal, once, where every precondition holds."""
         link = self._connected()
         self._check_over()
-        program = self._stored
-        if program is None or (self._name, _checksum(program.text)) != (name, checksum):
-            raise RefusedError(f"the program that was stored is not the {name!r} that is to be started; nothing moved")
+        program = self._stored.find(name, checksum)
         if self.effort == "current":
             check_currents(self.torque_per_ampere, len(link.joints))
         preconditions.check_controller(link, self._parameters, self._manager, self._by_goal)
@@ -231,11 +227,6 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
                 link.check()
                 raise DriverError(f"{self.address}: the goal was sent, and nothing says that it was taken")
 
-    def _not_started(self) -> None:
-        super()._not_started()
-        if self._brake is not None:
-            self._brake.disarm()
-
     def _bring_to_rest(self, link: RosLink, motion: Ros2Motion | None) -> None:
         """Brake by one point, and wait until the arm rests."""
         if motion is None or motion.over:
@@ -248,27 +239,22 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
     def close(self) -> None:
         """Close the link; where the arm may still move, it is braked first. Never raises."""
         link, self._link = self._link, None
-        motion = self._motion
         if link is not None:
-            if motion is not None and not motion.over:
-                motion.brake(DriverError(f"the link to {self.address} was closed while the arm moved"))
+            if (motion := self._running) is not None:
+                closed = DriverError(f"the link to {self.address} was closed while the arm moved")
+                motion.brake(closed)
                 if not motion.wait(_BRAKES):
                     link.cancel()
-                motion.finish(DriverError(f"the link to {self.address} was closed while the arm moved"))
+                motion.finish(closed)
             link.close()
         brake, self._brake = self._brake, None
         if brake is not None:
             brake.close()
 
-    def _latest(self, link: RosLink) -> JointSample:
-        assert link.latest is not None
-        return link.latest
-
     # From here on in the thread of the link.
 
     def _on_sample(self, sample: JointSample, now: float) -> None:
-        motion = self._motion
-        if motion is None or motion.over:
+        if (motion := self._running) is None:
             return
         motion.sample(sample, now)
         if (error := motion.too_full()) is not None:
@@ -279,8 +265,8 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             self._motion.state(state)
 
     def _on_turn(self) -> None:
-        motion, brake = self._motion, self._brake
-        if motion is None or motion.over:
+        motion, brake = self._running, self._brake
+        if motion is None:
             return
         if brake is not None:
             brake.beat()
@@ -295,8 +281,8 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             self._brake.disarm()
 
     def _on_failure(self, error: DriverError) -> None:
-        motion, link = self._motion, self._link
-        if link is not None and motion is not None and not motion.over:
+        motion, link = self._running, self._link
+        if link is not None and motion is not None:
             motion.brake(error)
             seconds = motion.send_brake()
             if self._brake is not None:
@@ -304,13 +290,3 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
             link.linger(seconds or 0.0)
             link.cancel()
         super()._on_failure(error)
-
-
-def _distribution() -> str:
-    import os
-
-    return os.environ.get("ROS_DISTRO", "") or f"rclpy of {sys.prefix}"
-
-
-def _checksum(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()

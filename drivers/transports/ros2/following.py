@@ -79,7 +79,7 @@ class Speed:
     def __init__(self, span: float = 0.02) -> None:
         self._span = span
         self._was: tuple[float, np.ndarray] | None = None
-        self.value: np.ndarray | None = None
+        self.value = np.zeros(0)
 
     def of(self, sample: JointSample) -> np.ndarray:
         """At a sample; zero until it is known."""
@@ -88,7 +88,6 @@ class Speed:
         elif sample.stamp - self._was[0] >= self._span:
             self.value = (sample.position - self._was[1]) / (sample.stamp - self._was[0])
             self._was = sample.stamp, sample.position
-        assert self.value is not None
         return self.value
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
 import secrets
@@ -21,8 +22,10 @@ from drivers.transports.ros2.ros import DEPTH, Ros, send_brake, set_time, trajec
 from drivers.wire.ros2 import (
     DESCRIPTION,
     JOINT_STATES,
+    JointReader,
     JointSample,
     JointStateReader,
+    Read,
     RosAddress,
     SetPoint,
     SetPointReader,
@@ -76,15 +79,15 @@ class RosLink(LinkThread):
         #: Stamps and ages of the last seconds; the age is by our own clock that nobody sets, so only its changes count.
         self._seen: deque[tuple[float, float]] = deque(maxlen=_SEEN)
         self._fault: DriverError | None = None
-        self._silence, self._fresh = 0.0, False
         self._ros = Ros(target.domain, self.name)
         self._commands = self._ros.commands(target)
         self._goals: Any = None
         self._thread.start()
 
     @property
-    def latest(self) -> JointSample | None:
-        """The newest sample that this arm can have made."""
+    def latest(self) -> JointSample:
+        """The newest sample that this arm can have made; `listen` has waited for the first."""
+        assert self.believed.sample is not None
         return self.believed.sample
 
     @property
@@ -158,8 +161,8 @@ class RosLink(LinkThread):
         if kinds and "sensor_msgs/msg/JointState" not in kinds:
             raise ProtocolError(f"{states} has messages of type {kinds[0]}, and sensor_msgs/msg/JointState is expected")
         self._listen_to_states()  # first: after a stall, the set-points of all samples that waited are known
-        self._ros.raw("sensor_msgs.msg", "JointState", states, lambda data: self._take(reader, data))
-        if not self.wait(lambda: self.latest is not None, self._timeout):
+        self._ros.raw("sensor_msgs.msg", "JointState", states, functools.partial(self._read, reader, self._take))
+        if not self.wait(lambda: self.believed.sample is not None, self._timeout):
             self.check()
             raise DriverError(
                 f"{states}: no sample of {', '.join(joints)} within {self._timeout:g} s; is the "
@@ -263,7 +266,7 @@ class RosLink(LinkThread):
         That is `ahead` [s] of the controller's time at the last moment: old samples make it no later.
         """
         self.check()
-        message = trajectory_message(self.joints, 0.0, points)
+        message = trajectory_message(self.joints, points)
         stamp = self.clock() + ahead
         set_time(message.header.stamp, stamp)
         self._commands.publish(message)
@@ -281,9 +284,8 @@ class RosLink(LinkThread):
         """The same as a goal, once; `answered` says whether it was accepted, `ended` its error code and text."""
         self.check()
         joint_tolerance = typed("control_msgs.msg", "JointTolerance")
-        goal = typed("control_msgs.action", "FollowJointTrajectory").Goal(
-            trajectory=trajectory_message(self.joints, 0.0, points)
-        )
+        action = typed("control_msgs.action", "FollowJointTrajectory")
+        goal = action.Goal(trajectory=trajectory_message(self.joints, points))
         pairs = zip(self.joints, tolerance.tolist(), strict=True)
         goal.path_tolerance = [joint_tolerance(name=name, position=value) for name, value in pairs]
         set_time(goal.goal_time_tolerance, goal_time)
@@ -335,58 +337,47 @@ class RosLink(LinkThread):
         kind = typed("control_msgs.msg", "JointTrajectoryControllerState")
         if kind is None or "speed_scaling_factor" not in kind.get_fields_and_field_types():
             return
-        reader = SetPointReader(self.joints)
+        take = functools.partial(self._read, SetPointReader(self.joints), self._take_state)
         topic = self.target.name(self.target.controller, "controller_state")
-        self._ros.raw(
-            "control_msgs.msg", "JointTrajectoryControllerState", topic, lambda data: self._take_state(reader, data)
-        )
+        self._ros.raw("control_msgs.msg", "JointTrajectoryControllerState", topic, take)
 
-    def _take(self, reader: JointStateReader, data: bytes) -> None:
-        now = time.monotonic()
+    def _read(self, reader: JointReader[Read], take: Callable[[Read], None], data: bytes) -> None:
         try:
-            sample = reader.read(data)
+            message = reader.read(data)
         except ProtocolError as error:
             self._fault = error
             return
-        if sample is None:
-            return
-        before = self.latest
+        if message is not None:
+            take(message)
+
+    def _take(self, sample: JointSample) -> None:
+        now, before = time.monotonic(), self.believed.sample
         if jump := self.believed.take(sample, now):
             self._doubted = now, jump
         else:
-            self._fresh = self._fresh or before is None or sample.stamp > before.stamp
+            self._heard = self._heard or before is None or sample.stamp > before.stamp
             with self._changed:
                 self._seen.append((sample.stamp, now - sample.stamp))
                 while not 0.0 <= sample.stamp - self._seen[0][0] <= OBSERVED:
                     self._seen.popleft()
         self._on_sample(sample, now)
 
-    def _take_state(self, reader: SetPointReader, data: bytes) -> None:
-        try:
-            state = reader.read(data)
-        except ProtocolError as error:
-            self._fault = error
-            return
-        if state is not None:
-            self.states.append(state)
-            self.scaling = state.scaling
-            self._on_state(state)
+    def _take_state(self, state: SetPoint) -> None:
+        self.states.append(state)
+        self.scaling = state.scaling
+        self._on_state(state)
 
     def _work(self) -> None:
         while not self._closing.is_set():
             began = time.monotonic()
-            self._fresh = False
+            self._heard = False
             self._ros.spin_once(_TURN)
             if self._fault is not None:
                 raise self._fault
             self._on_turn()
             with self._changed:
                 self._changed.notify_all()
-            # A stall of this process is not the controller's silence.
-            waited = min(time.monotonic() - began, _STALL)
-            self._silence = 0.0 if self._fresh else self._silence + waited
-            if self.guarded and self._silence >= self.watchdog:
-                raise self._fell_silent()
+            self._count_silence(time.monotonic() - began, _STALL)
 
     def _fell_silent(self) -> DriverError:
         return DriverError(

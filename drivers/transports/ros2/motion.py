@@ -113,10 +113,8 @@ class Ros2Motion(SampleStream):
         Raises:
             RefusedError: it cannot be run from where the arm stands.
         """
-        sample = self._link.latest
-        assert sample is not None
         with self._lock:
-            self._go_on(sample)
+            self._go_on(self._link.latest)
 
     @property
     def begun(self) -> bool:
@@ -148,8 +146,6 @@ class Ros2Motion(SampleStream):
         cancelled, and the point waits for a sample.
         """
         sample = self._link.latest
-        if sample is None:
-            return None
         # A set-point that jumps makes the arm faster for a moment than it has to be braked from.
         velocity = np.clip(self._link.velocity, -self._fastest, self._fastest)
         age = self._link.clock() - sample.stamp
@@ -224,8 +220,7 @@ class Ros2Motion(SampleStream):
                 self._brake_sent = True  # by the second process, for all that is known here
             self._polled = now
             if self._brake_due and (seconds := self.send_brake()) is not None:
-                self._brake_due, latest = False, self._link.latest
-                self._since = (0.0 if latest is None else latest.stamp) + seconds
+                self._brake_due, self._since = False, self._link.latest.stamp + seconds
                 self._cancel_at = min(self._cancel_at, now + seconds + CANCEL_AFTER)
             if now >= self._cancel_at:
                 self._cancel()
@@ -261,7 +256,7 @@ class Ros2Motion(SampleStream):
                 )
             )
         if self._phase in ("moving", "settling") and self._result is not None and self._result[0] != 0:
-            return self._held()
+            return self._held(*self._result)
         match self._phase:
             case "moving":
                 self._follow(sample)
@@ -307,11 +302,10 @@ class Ros2Motion(SampleStream):
                 )
             )
 
-    def _held(self) -> None:
+    def _held(self, code: int, text: str) -> None:
         """The controller has ended the goal by itself, and holds, unless something else moves the arm now."""
-        assert self._result is not None
-        why = _ended_by(*self._result)
-        if self._result[0] == _REPLACED:
+        why = _ended_by(code, text)
+        if code == _REPLACED:
             return self.brake(why)
         self._why = self._why or why
         self._phase, self._braked = "braking", self._clock()
@@ -321,12 +315,13 @@ class Ros2Motion(SampleStream):
         """Send the next goal, where there is one and somebody watches."""
         if self.stopping:
             return self._come_to_rest()
-        if self._unread() > UNREAD:
-            self._why = LinkStopped(
-                f"{self._unread():.0f} s of samples wait to be read, so the next cycle was not sent: has this computer "
-                "too much else to do?"
+        if (unread := self.unread * self._period) > UNREAD:
+            return self._come_to_rest(
+                LinkStopped(
+                    f"{unread:.0f} s of samples wait to be read, so the next cycle was not sent: has this computer too "
+                    "much else to do?"
+                )
             )
-            return self._come_to_rest()
         step = next(self._steps, None)
         if step is None:
             return self._come_to_rest()
@@ -345,9 +340,7 @@ class Ros2Motion(SampleStream):
             )
             if self.goals_sent == 0:
                 raise error
-            self._why = error
-            self._come_to_rest()
-            return
+            return self._come_to_rest(error)
         tolerance = np.full(len(self._program.joints), 0.1) if step.tolerance is None else step.tolerance
         self._limit_off = SHARE * tolerance
         if step.to is not None and not np.array_equal(points.q[-1], step.to[0]):
@@ -371,8 +364,7 @@ class Ros2Motion(SampleStream):
                 return
             self._accepted = accepted
             if not accepted:
-                self._why = RefusedError("the controller refused a trajectory; its own log says why")
-                self._come_to_rest()
+                self._come_to_rest(RefusedError("the controller refused a trajectory; its own log says why"))
 
     def _ended(self, number: int, code: int, text: str) -> None:
         with self._lock:
@@ -402,18 +394,14 @@ class Ros2Motion(SampleStream):
             self._cancelled = True
             self._link.cancel()
 
-    def _come_to_rest(self) -> None:
+    def _come_to_rest(self, why: DriverError | None = None) -> None:
         self._hand_out(flush=True)
+        self._why = why or self._why
         if self._why is not None:
             self.finish(self._why)
         else:
             count = self.sequencer.expected
             self.ended(EndReason.STOPPED if self.stopping else EndReason.DONE, count, "")
-
-    def _unread(self) -> float:
-        """Samples [s] that wait for the consumer."""
-        each = 8 * (2 + 5 * len(self._program.joints))
-        return self.size / each * self._period
 
     def _keep(self, number: int, sample: JointSample) -> None:
         if self._states:

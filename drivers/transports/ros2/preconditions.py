@@ -102,7 +102,6 @@ def check_arm(link: RosLink, joints: Sequence[str], recorded: bool) -> None:
             f"{link.target.node} does not listen to its topic joint_trajectory, by which the arm is braked; activate it"
         )
     sample = link.latest
-    assert sample is not None
     if not np.isfinite(sample.position).all():
         raise RefusedError("joint_states has positions that are no numbers; look at the robot's driver")
     if recorded and not np.isfinite(sample.effort).all():

@@ -43,6 +43,18 @@ def typed(package: str, name: str) -> Any:
         return None
 
 
+def needed(package: str, name: str) -> Any:
+    """A type of the sourced distribution.
+
+    Raises:
+        DriverError: it is not there.
+    """
+    kind = typed(package, name)
+    if kind is None:
+        raise DriverError(f"the ROS 2 that is sourced here has no {package}.{name}; install {package.split('.')[0]}")
+    return kind
+
+
 @functools.cache
 def _begins() -> bool:
     """Whether ROS 2 begins in this process only now: Fast DDS reads profiles once."""
@@ -148,11 +160,7 @@ class Ros:
         """
         from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-        kind = typed(package, name)
-        if kind is None:
-            raise DriverError(
-                f"the ROS 2 that is sourced here has no {package}.{name}; install {package.split('.')[0]}"
-            )
+        kind = needed(package, name)
         reliability = ReliabilityPolicy.BEST_EFFORT if self.best_effort(topic) else ReliabilityPolicy.RELIABLE
         quality = QoSProfile(depth=depth, reliability=reliability)
         subscription = self._listener.create_subscription(kind, topic, take, quality, raw=True)
@@ -160,9 +168,7 @@ class Ros:
 
     def commands(self, target: RosAddress) -> Any:
         """A publisher of trajectories to the controller."""
-        kind = typed("trajectory_msgs.msg", "JointTrajectory")
-        if kind is None:
-            raise DriverError("the ROS 2 that is sourced here has no trajectory_msgs; install it")
+        kind = needed("trajectory_msgs.msg", "JointTrajectory")
         return self.node.create_publisher(kind, target.name(target.controller, "joint_trajectory"), 10)
 
     def parameters(
@@ -196,10 +202,8 @@ class Ros:
         """End the node; never raises."""
         ends = (self.node.destroy_node, self._listener.destroy_node, self.context.try_shutdown)
         for end in (self._executor.shutdown, *ends):
-            try:
+            with contextlib.suppress(Exception):  # what is left of it ends with the process
                 end()
-            except Exception:  # what is left of it ends with the process
-                continue
 
 
 def send_brake(
@@ -207,16 +211,16 @@ def send_brake(
 ) -> float:
     """Send the one point that brings an arm to rest from this state (n,); how long that takes [s]."""
     seconds, goal = brake_point(position, velocity, strength)
-    publisher.publish(trajectory_message(joints, 0.0, [(seconds, goal, 0.0 * goal)]))
+    publisher.publish(trajectory_message(joints, [(seconds, goal, 0.0 * goal)]))
     return seconds
 
 
-def trajectory_message(joints: Iterable[str], stamp: float, points: Sequence[Sequence[Any]]) -> Any:
-    """A JointTrajectory of points (time [s], positions, velocities and, where given, accelerations)."""
+def trajectory_message(joints: Iterable[str], points: Sequence[Sequence[Any]]) -> Any:
+    """A JointTrajectory that begins at once, of points (time [s], positions, velocities and, where given,
+    accelerations)."""
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
     message = JointTrajectory(joint_names=list(joints))
-    set_time(message.header.stamp, stamp)
     for time_from_start, *rows in points:
         point = JointTrajectoryPoint(**dict(zip(RATES, (np.asarray(row).tolist() for row in rows), strict=False)))
         set_time(point.time_from_start, time_from_start)

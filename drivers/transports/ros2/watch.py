@@ -7,12 +7,14 @@ import importlib.util
 import os
 import time
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError
 from drivers.protocol import SampleBlock
+from drivers.transports.ros2.dds import Dds
+from drivers.transports.ros2.ros import Ros
 from drivers.wire.ros2 import (
     JOINT_STATES,
     JointSample,
@@ -162,18 +164,6 @@ class WatchedArm:
         self._behind_before = self._behind
 
 
-class _Listener(Protocol):
-    """What hands on messages as bytes: rclpy or cyclonedds."""
-
-    def raw(self, package: str, name: str, topic: str, take: Callable[[bytes], None]) -> object: ...
-
-    def best_effort(self, topic: str) -> bool | None: ...
-
-    def spin_once(self, timeout: float) -> None: ...
-
-    def close(self) -> None: ...
-
-
 class RosWatch:
     """Subscriptions to one arm that is not driven from here.
 
@@ -235,14 +225,10 @@ class RosWatch:
         self._node.spin_once(_TURN)
 
 
-def _listener(domain: int) -> _Listener:
+def _listener(domain: int) -> Ros | Dds:
     if importlib.util.find_spec("rclpy") is not None:
-        from drivers.transports.ros2.ros import Ros
-
         return Ros(domain, f"calibration_agent_watch_{os.getpid()}")
     if importlib.util.find_spec("cyclonedds") is not None:
-        from drivers.transports.ros2.dds import Dds
-
         return Dds(domain)
     raise ConfigurationError(
         "--watch needs ROS 2 or cyclonedds: source ROS 2, or pip install 'calibration-agent[dds]' "

@@ -7,7 +7,6 @@ it is the one that was meant, and then moves. A script that arrives a second tim
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import threading
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.protocol import Identity, Status
 from drivers.texts import place_of
+from drivers.transports.base.kept import KeptProgram
 from drivers.transports.base.link import LinkDriver, check_currents
 from drivers.transports.base.ports import parse_address, socket_endpoints
 from drivers.transports.base.poses import rotation
@@ -66,7 +66,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         self.torque_per_ampere = np.empty((0, 0))
         self._dashboard: Dashboard | None = None
         self._model: UrModel | None = None
-        self._stored: tuple[str, UrProgram] | None = None
+        self._stored = KeptProgram[UrProgram]()
         self._restoring = ""  # a script that sets TCP and payload as they were, to be sent after the motion
         self._permitting = threading.Lock()  # its holder may allow the program to move, or say that it may not
 
@@ -82,7 +82,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 
     def _open(self) -> None:
         """Ask the dashboard who is there, then open RTDE and the primary interface."""
-        self._stored = None
+        self._stored = KeptProgram()
         self._dashboard = Dashboard(self._places["dashboard"], self._timeout)
         self._model = self._dashboard.model()
         self._link = UrLink(
@@ -116,9 +116,6 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             raise DriverError(f"{self.address}: the controller sends joint positions that are no numbers; look at it")
         safety = int(sample["safety_mode"])
         stops = (*states.EMERGENCY_STOPS, states.SAFEGUARD, states.NORMAL)
-        name, checksum = "", ""
-        if self._stored is not None:
-            name, checksum = self._stored[0], _checksum(self._stored[1].text)
         return Status(
             drives_on=int(sample["robot_mode"]) == states.RUNNING,
             mode="auto" if remote else "teach",
@@ -127,8 +124,8 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             override=float(sample["target_speed_fraction"]),
             cell_closed=safety != states.SAFEGUARD,
             moving=streaming or _plays(sample),
-            program=name,
-            checksum=checksum,
+            program=self._stored.name,
+            checksum=self._stored.checksum,
             position=sample["actual_q"].astype(float),
             emulator=link.simulated(),
         )
@@ -163,19 +160,16 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             RefusedError: no program, one that could not be stopped, or the arm moves.
         """
         self._connected()
-        if self._motion is not None and not self._motion.over:
+        if self._running is not None:
             raise RefusedError("no program is taken while the arm moves; stop it first")
-        self._stored = None
-        self._stored = name, UrProgram.of(text)
-        return _checksum(text)
+        self._stored = KeptProgram()
+        return self._stored.keep(name, UrProgram.of(text))
 
     def start(self, name: str, checksum: str) -> None:
         """Send the program, see that it is the one that runs, and let it move. Each is done once."""
         link = self._connected()
         self._check_over()
-        if self._stored is None or (self._stored[0], _checksum(self._stored[1].text)) != (name, checksum):
-            raise RefusedError(f"the program that was stored is not the {name!r} that is to be started; nothing moved")
-        program = self._stored[1]
+        program = self._stored.find(name, checksum)
         self._check_ready(link, program)
         assert self._model is not None
         self._restoring = program.restoring(link.latest)
@@ -355,7 +349,8 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         link.guarded = not motion.over
         if motion.over and self._restoring:
             script, self._restoring = self._restoring, ""
-            if self._stored is not None and self._differs(self._stored[1], samples[-1]) is None:
+            program = self._stored.program
+            if program is not None and self._differs(program, samples[-1]) is None:
                 with contextlib.suppress(DriverError):
                     link.send_program(script)
 
@@ -367,10 +362,6 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 def _plays(sample: np.void) -> bool:
     """Whether a program runs, or the arm moves without one."""
     return int(sample["runtime_state"]) != states.STOPPED or bool(np.abs(sample["target_qd"]).max() >= states.STILL)
-
-
-def _checksum(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def places(address: str) -> dict[str, str]:
