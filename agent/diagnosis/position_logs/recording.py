@@ -19,8 +19,7 @@ from agent.robot import ParameterLayout
 from agent.simulators import FreeMotion, FreeSimulator, PositionServos, RecordedCommand, ServoNumbers
 
 _STEP = 5e-3  # numerical: s, at most, between the instants of the linearised motion
-_LATER = 5e-4  # numerical: s, by which a command is moved to tell what a delay changes
-_RATE = 2000.0  # numerical: Hz of the steps of gears, at least
+_LATER = 5e-4  # numerical: s, by which a command is moved to tell what a delay changes; of the steps of gears, at most
 _FAR = 1.5  # rad or m from the set-points in the middle: they are of another unit or zero
 
 
@@ -155,7 +154,7 @@ class LinearisedMotion:
         kp, viscous, friction, armature = (float(kind[joint]) for kind in kinds)
         limits = float(self.servos.low[joint]), float(self.servos.high[joint])
         servo = np.array([kp, damping_of_servo, viscous, friction, armature, *limits])
-        substeps = max(2, int(np.ceil(_RATE * np.median(np.diff(m.time)))))
+        substeps = max(2, int(np.ceil(np.median(np.diff(m.time)) / _LATER)))
         damper = 2 * damping * np.sqrt(stiffness * mass.mean())
         both = servo_through_play(
             np.stack([torque, load, speed, mass, slope, pulls]),
