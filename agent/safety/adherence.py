@@ -5,7 +5,7 @@ The controller's interpolator is not known exactly, so samples are not compared 
 - Each sample is close to some point of the planned path, at no more than the planned speed around that point.
 - These points advance along the path: the points of a sample are reached from those of the sample before, never
   backwards (as in the Fréchet distance of two paths). If several points fit, all are kept.
-- The time along the path matches the plan, without the pauses at stops.
+- The time along the path matches the plan, without pauses at stops and with or without what is too slow to be seen.
 - The arm stands only where the plan stops, and its positions change as its reported speeds say.
 
 The tool may leave its path by the distance that the cell was checked with (the FLY distance of the recipe). A joint may
@@ -116,7 +116,8 @@ class Adherence:
         self._last = 0.0
         #: The path points that fit the last sample: index of the first point, and a mask from there on.
         self._first, self._fits = 0, np.ones(1, dtype=bool)
-        self._moved, self._mark = 0.0, (0.0, 0.0)
+        self._seen = self._path.moving(MEASURED.resting * robot.max_velocity)
+        self._moved, self._mark = 0.0, (0.0, np.zeros(2))
         self._recent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._waiting: list[SampleBlock] = []
 
@@ -212,7 +213,8 @@ class Adherence:
             reason = self._follow(measured, time, firsts, lasts)
             if reason is not None:
                 return reason
-        return self._pace(time, passed, np.any(speed > allowed.resting * self._robot.max_velocity, axis=1))
+        moving = np.any(speed > allowed.resting * self._robot.max_velocity, axis=1)
+        return self._pace(time, passed, moving, self._seen if given is None else path.when)
 
     def _follow(self, measured: np.ndarray, time: np.ndarray, firsts: np.ndarray, lasts: np.ndarray) -> str | None:
         """Whether the measured positions match the set-points, or earlier ones."""
@@ -305,18 +307,23 @@ class Adherence:
         self._recent[what] = times[keep], was[keep]
         return np.abs(was[now] - was[since]) / over[:, None], over
 
-    def _pace(self, time: np.ndarray, passed: np.ndarray, moving: np.ndarray) -> str | None:
-        """Whether the motion took the planned time, and where the arm is now."""
+    def _pace(self, time: np.ndarray, passed: np.ndarray, moving: np.ndarray, seen: np.ndarray) -> str | None:
+        """Whether the motion took the planned time, and where the arm is now.
+
+        Of the planned time (P,) up to each point, `seen` (P,) is what has to be seen as motion: a long slow move begins
+        and ends so slowly that noise says whether it moves.
+        """
         self._moved += float(np.sum(passed[moving]))
         self._last = float(time[-1])
-        when = self._path.when[[self._first, self._first + len(self._fits) - 1]]
+        ends = [self._first, self._first + len(self._fits) - 1]
+        places = np.stack([seen[ends], self._path.when[ends]])  # the least and the most that may have been seen
         if not passed.max() <= GAP:  # samples were lost: who knows whether it moved in between
-            self._mark = self._moved, float(when.mean())
+            self._mark = self._moved, places.mean(axis=1)
         took = self._moved - self._mark[0]
-        planned = float(np.clip(took, *(when - self._mark[1])))
+        planned = float(np.clip(took, places[0, 0] - self._mark[1][0], places[1, 1] - self._mark[1][1]))
         if abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned):
             if planned > WAY:
-                self._mark = self._moved, self._mark[1] + planned
+                self._mark = self._moved, np.clip(self._mark[1] + took, *places.T)
             return None
         return (
             f"{self._last - self._began:.2f} s into the motion: what was planned to take {max(planned, 0.0):.1f} s "

@@ -77,6 +77,12 @@ class ReferencePath:
         step = float(np.max(np.diff(times), initial=0.0))
         return cls(np.concatenate(rows), times, q, tool, reach, speed, pace / levers, slowest, stops, levers, step)
 
+    def moving(self, slowest: np.ndarray) -> np.ndarray:
+        """(P,) motion time up to each point [s] in which a joint is planned to be faster than `slowest` (n,)."""
+        lasts = np.diff(self.when, prepend=0.0)
+        way = np.abs(np.diff(self.q[self.rows], axis=0, prepend=self.q[self.rows[:1]]))
+        return np.cumsum(lasts * np.any(~(way <= slowest * lasts[:, None]), axis=1))
+
     def place_at(self, when: Any) -> Any:
         """Index, in the shape of `when`, of the last point that is no later than a time [s] of the plan."""
         return np.clip(np.searchsorted(self.when, when, side="right") - 1, 0, len(self.when) - 1)

@@ -247,16 +247,13 @@ class Stopping:
                 "controller has a watchdog. Go and look"
             )
             return
-        closed = "The stop was sent again and the link closed, which stops an arm whose controller has a watchdog"
-        still = f"{when} it still moves, at {100 * speed:.0f} % of a joint's limit"
-        if self._braking.brakes_late and not self._braking.brakes:
-            self._give_up(
-                f"{still}, but slows down: what is seen of the arm may be late. {closed}. Go and look at it, and press "
-                "the emergency stop if it moves"
-            )
-            return
         self.disobeyed = True
-        self._give_up(f"the arm does not obey: {still}. {closed}. PRESS THE EMERGENCY STOP NOW")
+        lag = " It slows down, so what is seen of it may be late." if self._braking.brakes_late else ""
+        self._give_up(
+            f"the arm does not obey: {when} it still moves, at {100 * speed:.0f} % of a joint's limit.{lag} The "
+            "stop was sent again and the link closed, which stops an arm whose controller has a watchdog. PRESS THE "
+            "EMERGENCY STOP NOW"
+        )
 
     def _give_up(self, seen: str) -> None:
         self.seen = seen

@@ -600,7 +600,8 @@ def test_in_motion(scene, measured, name):
     assert ended in (code if isinstance(code, tuple) else (code,)), output
     assert re.search(said, output), output
     assert took <= patience(soon)
-    assert not re.search("ahead|behind", name) or "does not obey" not in output, "it does, and is seen late"
+    if re.search("ahead|behind", name) and "does not obey" in output:
+        assert "what is seen of it may be late" in output
     if not re.search("ahead|trajectory|150 %", name):  # there the controller itself is faster
         assert fastest <= 1.6 * PACE, "the stop threw the arm"
     assert scene.bench.motions_started() <= 4

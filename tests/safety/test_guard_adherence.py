@@ -103,6 +103,25 @@ def test_tolerates_slightly_earlier_acceleration():
     assert follow(watcher(ramp(0.9), margin=0.005), ramp(0.1).q[:200]) is not None
 
 
+def slow_move(away, seconds=15.0):
+    """A long slow move of the first joint that ends at HOME, from rest to rest, as a quintic."""
+    t = np.arange(0.0, seconds + PERIOD / 2, PERIOD)
+    s = t / seconds
+    q = HOME - away * np.outer(1 - (10 * s**3 - 15 * s**4 + 6 * s**5), np.eye(6)[0])
+    return replace(rest_at(HOME), t=t, q=q, qd=np.gradient(q, t, axis=0), move=0 * t.astype(int))
+
+
+@pytest.mark.parametrize("away", [0.3, 0.6, 1.2])
+@pytest.mark.parametrize("rest", [0.0, 1.0])
+def test_what_is_too_slow_to_be_seen_takes_no_time_that_is_missed(swing, away, rest):
+    """Without set-points, the ends of a slow move look like a rest; the next move begins on time nevertheless."""
+    move, then = slow_move(away), swing(seconds=3.0)
+    pause = np.tile(HOME, (round(rest / PERIOD), 1))
+    assert follow(watcher(move, then), move.q, pause, then.q, given=False) is None
+    again = then.q[::2]  # twice as fast
+    assert follow(watcher(move, then), move.q, pause, again, given=False) is not None
+
+
 def test_a_nan_speed_limit_allows_no_motion(swing):
     nowhere = replace(ROBOT, joints=tuple(replace(joint, max_velocity=np.nan) for joint in ROBOT.joints))
     reason, _ = follow(Adherence([swing(seconds=3.0)], nowhere, None, 0.02, PERIOD), np.tile(HOME, (20, 1)))
