@@ -29,7 +29,8 @@ def free_of_contacts(
 ) -> FreeSimulator:
     """The simulator without contacts of bodies that reach into each other at recorded positions.
 
-    It is as it was where there are none, or where with any of the `numbers` it follows the positions better.
+    The simulator itself is returned if no bodies do, or if with one of the `numbers` its motion is nearer to the
+    positions.
     """
     pairs = simulator.colliding(np.concatenate([stretch.position for stretch in stretches]))
     if not pairs:
