@@ -25,7 +25,7 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, is_hypothesis_test, settings
 
 from agent.robot import RobotDescription, load_robot
 from tests.browser import Browser, browser as start_browser
@@ -33,13 +33,13 @@ from tests.warm import WarmProcess
 
 # The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
 # No deadline, and no complaint about slow examples: how long one takes is the machine's affair.
-settings.register_profile(
-    "same",
-    derandomize="CALIBRATION_FIGURES" not in os.environ,
-    deadline=None,
-    suppress_health_check=[HealthCheck.too_slow],
-)
-settings.load_profile("same")
+VERIFIES = "CALIBRATION_FIGURES" in os.environ
+settings.register_profile("all", derandomize=not VERIFIES, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("few", parent=settings.get_profile("all"))
+settings.load_profile("all" if VERIFIES else "few")
+#: `make test` tries this part of the examples that a test asks for, but not fewer than these; `make verify` tries all
+#: (tests/test_properties.py).
+PART, FEWEST = 4, 8
 
 # No garbage is looked for while everything is imported and collected, nor in that later: it stays.
 gc.disable()
@@ -65,6 +65,12 @@ SHARED = ROOT / "../shared/data"
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest come first: all commands of the documentation, and whole blind checks. What comes last is short."""
     items.sort(key=lambda item: not re.search("test_documentation|blind_check/test_process", item.nodeid))
+    if settings.get_current_profile_name() == "few":
+        properties = {item.obj for item in items if isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)}
+        for test in properties:
+            asked = test._hypothesis_internal_use_settings  # no public name leads to the settings of a test
+            few = max(asked.max_examples // PART, min(asked.max_examples, FEWEST))
+            test._hypothesis_internal_use_settings = settings(asked, max_examples=few)
 
 
 def pytest_collection_finish() -> None:

@@ -44,7 +44,7 @@ _SETTINGS = """
 source_paths = ["agent", "drivers", "fake_controller", "second_world"]
 only_mutate = ["{module}"]
 also_copy = ["recipes", "docs"]
-pytest_add_cli_args = ["-m", "not verify", "-p", "no:cacheprovider"]
+pytest_add_cli_args = ["-m", "not verify", "-p", "no:cacheprovider", "--hypothesis-profile=all"]
 pytest_add_cli_args_test_selection = {tests}
 do_not_mutate_patterns = ["raise ", "errstate", "strict=True"]
 use_git_change_detection = false

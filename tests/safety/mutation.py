@@ -310,6 +310,7 @@ def passes(mutant: Mutant | None, files: list[str], limit: float, plugins: tuple
         if mutant is not None:
             sys.meta_path.insert(0, _Loader(mutant))
         options = ["-x", "-q", "-m", "not verify", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
+        options.append("--hypothesis-profile=all")
         os._exit(int(pytest.main([*options, *files], plugins=list(plugins))))
     until = time.monotonic() + limit
     while time.monotonic() < until:
