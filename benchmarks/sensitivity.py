@@ -380,7 +380,10 @@ def _singletons(kind: type) -> list[Any]:
 
 @dataclass(frozen=True)
 class Run:
-    """Logs to be judged by the model of healthy logs; with a `problem`, a further motion is planned too."""
+    """Logs to be judged by the model of healthy logs.
+
+    With a `problem`, a further motion is planned too; of a `baseline`, what the healthy arm has of effects is learnt.
+    """
 
     name: str
     robot: Any
@@ -389,6 +392,7 @@ class Run:
     drives_off: Any = None
     file: str = ""
     problem: Any = None
+    baseline: tuple[Any, ...] = ()
 
 
 def make_runs(count: int) -> list[Run]:
@@ -460,6 +464,27 @@ def _others() -> Iterator[Run]:
     yield Run("drives_off", robot, model, offset, drives_off=still)
     held = [replace(log, effort=np.clip(log.effort, None, np.quantile(log.effort, 0.8, axis=0))) for log in logs]
     yield Run("held_torque", robot, model, tuple(held))
+    yield _read_behind()
+    baseline = _logs(robot, 8, 8, ())
+    yield Run("healthy", robot, model, logs, baseline=baseline)
+
+
+def _read_behind() -> Run:
+    """Positions of a hobby arm with play in a gear, whose servo reads the link behind it."""
+    from agent.recording import read_recording
+    from agent.simulators import load_arm
+    from fake_controller.servoed.__main__ import write
+
+    play = {"effect": "backlash", "joints": ["joint_5"], "parameters": {"gap": 0.0183}}
+    frames = {"rate": 200.0, "jitter": 0.0002, "clipped": False, "format": "csv"}
+    truth = {"machine": 2914479001988846812, "motion": 1044981598051068187, "motions": "both"}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write({"truth": truth | {"effects": [play], "frames": frames}, "folder": name, "seconds": 16.0})
+        arm = load_arm(folder / "arm.xml")
+        read = (read_recording(path, arm)[0] for path in sorted((folder / "logs").glob("*.csv")))
+        logs = tuple(_in_memory(log) for recorded in read for log in recorded)
+        return Run("read behind backlash", None, None, logs, file=(folder / "arm.xml").read_text("utf-8"))
 
 
 #: Effects that slow motions leave open.
@@ -662,7 +687,7 @@ class Answer:
 
 def answer_of(data: bytes) -> Answer:
     """Of one run, from its pickle, so that nothing that is remembered in it survives."""
-    from agent.diagnosis import diagnose
+    from agent.diagnosis import diagnose, with_healthy_effects
     from agent.simulators import load_simulator
 
     run = pickle.loads(data)
@@ -674,7 +699,8 @@ def answer_of(data: bytes) -> Answer:
                 simulator = load_simulator(path, run.robot, run.logs[0].joint_names, None)
                 result = diagnose(run.robot, run.logs, simulator.model, simulator=simulator).result
         else:
-            diagnosis = diagnose(run.robot, run.logs, run.model, drives_off=run.drives_off)
+            model = with_healthy_effects(run.model, run.baseline) if run.baseline else run.model
+            diagnosis = diagnose(run.robot, run.logs, model, drives_off=run.drives_off)
             if run.problem is not None:
                 return _planned(diagnosis, run.problem)
             result = diagnosis.result
@@ -754,9 +780,12 @@ class Bench:
         if site.kind != "module":
             return self._by_symbol.get(site.symbol, set())
         holding = _holding(site)
-        names = {site.symbol, *(name for module in holding for _, name, _ in _followers(module, site.symbol))}
+        following = [(owner, name) for module in holding for owner, name, _ in _followers(module, site.symbol)]
+        names = {site.symbol, *(name for _, name in following)}
         files = {module.__file__ for module in holding}
-        return {at for name in names for at in self._by_symbol.get(name, set()) if at[0] in files}
+        anywhere = {name for owner, name in following if isinstance(owner, type)}  # an attribute is read where it is
+        read = ((name, at) for name in names for at in self._by_symbol.get(name, set()))
+        return {at for name, at in read if name in anywhere or at[0] in files}
 
     def _span(self, site: Site) -> set[int]:
         """Lines of the statements that hold an inline number."""

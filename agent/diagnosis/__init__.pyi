@@ -17,7 +17,7 @@ from .gap.regime_shares import (
 )
 from .hypotheses.evidence import Evidence as Evidence
 from .hypotheses.healthy import with_healthy_effects as with_healthy_effects
-from .hypotheses.law import LAW as LAW, POWER as POWER
+from .hypotheses.law import LAW as LAW
 from .hypotheses.noise_model import ROW_SPACING as ROW_SPACING, smooth_columns as smooth_columns
 from .hypotheses.search import Search as Search
 from .hypotheses.selected_causes import Hypothesis as Hypothesis, SelectedCauses as SelectedCauses

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
-from agent.diagnosis.hypotheses.law import WITHIN
+from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, groups_of
 from agent.diagnosis.sizes import unit_of
 from agent.simulators import Correction
@@ -104,7 +104,7 @@ def _unit(effect: str, parameter: str, slides: bool) -> str:
 
 
 def _ends(value: float, deviation: float) -> tuple[float, float]:
-    return float(value - WITHIN * deviation), float(value + WITHIN * deviation)
+    return float(value - LAW.within * deviation), float(value + LAW.within * deviation)
 
 
 def _range(of: str, parameter: str, value: float, deviation: float, unit: str) -> Range:

@@ -26,7 +26,6 @@ from scipy.special import ndtr
 
 from agent.diagnosis import (
     LIMITS,
-    POWER,
     ROW_SPACING,
     Candidate,
     Dataset,
@@ -170,7 +169,7 @@ class ExperimentScorer:
 
     def minimum_detectable_sizes(self, added: InformationGain) -> list[float | None]:
         """Per pair with nothing as its rival the smallest size that four of five draws show, over the practical one."""
-        root, least = np.sqrt(2) * POWER, self._evidence.needed(True)
+        root, least = np.sqrt(2) * self._evidence.law.margin, self._evidence.needed(True)
         needed = root / 2 + np.sqrt((root / 2) ** 2 + least)
         return [
             float(needed / np.sqrt(first)) if pair.second.form is None and first > 0 else None

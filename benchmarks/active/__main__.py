@@ -13,6 +13,7 @@ from agent.model import CATALOGUE
 from agent.robot import load_robot
 from benchmarks.active.run import ROBOT, ActiveRun
 from benchmarks.active.scoring import active_scores, active_text
+from fake_controller.actuation import EFFECTS
 from fake_controller.withheld.cases import Mix, draw_cases
 
 #: Weak effects of every kind that a further motion meets again: what a short first recording may leave open. A push
@@ -20,7 +21,7 @@ from fake_controller.withheld.cases import Mix, draw_cases
 OPEN = Mix(
     {"one": 0.9, "none": 0.1},
     (0.15, 0.8),
-    tuple(sorted(name for name, effect in CATALOGUE.items() if effect.shows_in == "torque" and not effect.transient)),
+    tuple(sorted(name for name in EFFECTS if CATALOGUE[name].shows_in == "torque" and not CATALOGUE[name].transient)),
 )
 
 

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import pytest
 
 from agent.core import Console, InputError
-from agent.model import CATALOGUE
 from agent.robot import load_robot
 from benchmarks.active.__main__ import OPEN, check
 from benchmarks.active.run import ActiveRun, WayMotion
 from benchmarks.active.scoring import WAYS
 from drivers.errors import DriverError
+from fake_controller.actuation import EFFECTS
 from fake_controller.withheld.cases import draw_cases
 
 QUIET = Console(verbosity=-1)
@@ -178,4 +178,4 @@ def test_draws_weak_effects_of_every_repeatable_kind():
     assert all(0.15 <= case.strength <= 0.8 for case in cases)
     names = {effect["effect"] for case in cases for effect in case.effects}
     assert names == set(OPEN.names)
-    assert set(CATALOGUE) - names == {"contact", "interpolator_mismatch"}, "neither is met again in torque"
+    assert set(EFFECTS) - names == {"contact", "interpolator_mismatch"}, "neither is met again in torque"

@@ -4,7 +4,6 @@ from collections import Counter
 
 import numpy as np
 
-from agent.model import CATALOGUE
 from agent.robot import load_robot
 from fake_controller import actuation
 from fake_controller.build import build_controller
@@ -22,7 +21,7 @@ def test_kinds_and_effects_are_spread_evenly():
     assert set(kinds) == {"none", "one", "two", "outside"}
     assert all(len(case.effects) == {"none": 0, "two": 2}.get(case.kind, 1) for case in cases)
     named = Counter(e["effect"] for case in cases if case.kind != "outside" for e in case.effects)
-    assert set(named) == set(CATALOGUE)
+    assert set(named) == set(actuation.EFFECTS)
     assert max(named.values()) <= min(named.values()) + 6
     assert {e["effect"] for case in cases if case.kind == "outside" for e in case.effects} == set(OUTSIDE)
     joints = Counter(joint for case in cases for effect in case.effects for joint in effect["joints"])
@@ -49,9 +48,9 @@ def test_the_seed_determines_the_cases():
 
 def test_the_fake_controller_takes_every_effect():
     assert set(OUTSIDE) == set(actuation.OUTSIDE)
-    assert not set(OUTSIDE) & set(CATALOGUE)
+    assert not set(OUTSIDE) & set(actuation.EFFECTS)
     rng = np.random.default_rng(2)
-    for name in [*CATALOGUE, *OUTSIDE]:
+    for name in [*actuation.EFFECTS, *OUTSIDE]:
         for strength in (0.015, 0.5, 2.0):
             Plant(ROBOT, effects=[draw_effect(name, ROBOT, strength, rng)])
 

@@ -16,13 +16,14 @@ from agent.model import CATALOGUE, IdentifiedModel
 from agent.model.effects import GROUP
 from agent.pages.diagnosis.page import diagnosis_report
 from agent.validation import validate
+from fake_controller.actuation import EFFECTS
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record
 
 ROOT = Path(__file__).resolve().parents[2]
-FAMILIES = {"friction", "transmission", "load", "measurement", "path"}
 #: What the documentation shows: an effect that pulls a joint to an angle, with a grid of angles and one width.
 HOW_TO = (ROOT / "docs/how-to-effect.md").read_text(encoding="utf-8")
+FAMILIES = {"friction", "transmission", "load", "measurement", "path"}
 SOURCE = textwrap.dedent(HOW_TO.split("```python\n")[1].split("```")[0])
 
 
@@ -61,6 +62,12 @@ def test_every_effect_describes_itself():
         assert effect.shows_in == ("path" if effect.family == "path" else "torque")
         assert all((effect.phrase, effect.experiment.motion, effect.practical > 0))
     assert len({effect.phrase for effect in CATALOGUE.values()}) == len(CATALOGUE)
+
+
+def test_every_effect_meets_another_formula():
+    """That of the emulator, or that of a test with its name."""
+    own = {path.stem.removeprefix("test_") for path in Path(__file__).parent.rglob("test_*.py")}
+    assert {effect.name for effect in CATALOGUE.built_in} <= EFFECTS.keys() | own
 
 
 def test_finds_reports_and_saves_an_installed_effect(plug_in, tmp_path):

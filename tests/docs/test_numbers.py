@@ -93,8 +93,11 @@ def test_a_number_is_varied_wherever_it_stands_and_put_back():
     with sensitivity.changed(numbers()["diagnosis/hypotheses/law: EvidenceLaw.sure"], 2.0):
         assert LAW.sure == pytest.approx(0.2)
     assert LAW.sure == 0.6
-    with sensitivity.changed(numbers()["model/effects/effect: Effect.needs_travel"], 2.0):
-        assert CATALOGUE["stribeck"].needs_travel == 2 * 0.02
+    with sensitivity.changed(numbers()["model/effects/effect: Effect.practical"], 2.0):
+        assert CATALOGUE["stribeck"].practical == 2 * 0.01
+    assert stribeck.Stribeck.practical == 0.01
+    with sensitivity.changed(numbers()["model/effects/effect: SLIDES"], 2.0):
+        assert CATALOGUE["stribeck"].needs_travel == CATALOGUE["stribeck"].needs_speed == 2 * 0.02
     assert stribeck.Stribeck.needs_travel == 0.02
     with sensitivity.changed(numbers()["diagnosis/position_logs/recording: stretches_of.1.5"], 0.5):
         assert 1.25 in recording.stretches_of.__code__.co_consts

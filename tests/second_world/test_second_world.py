@@ -13,12 +13,12 @@ import pytest
 from agent.blind_check import BlindCheck
 from agent.blind_check.worlds import SecondWorld
 from agent.core.console import Console
-from agent.model import CATALOGUE
 from agent.recording import read_log
 from agent.robot import load_robot
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: pip install calibration-agent[mujoco]")
 
+from fake_controller.actuation import EFFECTS
 from second_world.__main__ import main, run
 from second_world.arms import CLASSES, write_description
 from second_world.draw import draw_cases
@@ -93,11 +93,11 @@ def test_development_and_judgement_draws_are_disjoint() -> None:
 
 
 def test_every_effect_has_three_development_laws() -> None:
-    assert set(LAWS) == set(CATALOGUE)
+    assert set(LAWS) == set(EFFECTS)
     for effect, known in LAWS.items():
         assert sum(not law.reserved for law in known.values()) >= 3, effect
     assert sum(any(not law.reserved for law in known.values()) for known in OUTSIDE.values()) >= 8
-    assert not set(OUTSIDE) & set(CATALOGUE)
+    assert not set(OUTSIDE) & set(EFFECTS)
 
 
 def test_draws_cover_all_options_including_pairs_on_one_joint() -> None:

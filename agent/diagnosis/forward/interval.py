@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.diagnosis.hypotheses.law import WITHIN
+from agent.diagnosis.hypotheses.law import LAW
 
 
 def expected_range(squares: np.ndarray, group: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
@@ -36,5 +36,5 @@ def expected_range(squares: np.ndarray, group: np.ndarray, most: float) -> tuple
         return np.zeros_like(middle), np.full_like(middle, most)
     own = spread / np.maximum(motions - 1, 1)
     usual = spread[several].sum() / (motions[several] - 1).sum()
-    factor = np.exp(0.5 * WITHIN * np.sqrt(np.maximum(own, usual) * (1 + 1 / motions)))
+    factor = np.exp(0.5 * LAW.within * np.sqrt(np.maximum(own, usual) * (1 + 1 / motions)))
     return middle / factor, np.clip(middle * factor, middle, np.maximum(most, middle))

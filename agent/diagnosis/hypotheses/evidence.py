@@ -13,7 +13,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from agent.diagnosis.hypotheses.joint_moments import solved_lower
-from agent.diagnosis.hypotheses.law import POWER
 from agent.diagnosis.hypotheses.noise_model import scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidateBlock
 from agent.diagnosis.hypotheses.score import LEAST_SCALE, Evaluated, Score
@@ -89,7 +88,7 @@ class Evidence(Score):
                 cost = np.array([self.cost(bank.candidates[k]) + self.needed(True) for k in which])
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
                 log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
-                sizes[which] = (POWER + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
+                sizes[which] = (self.law.margin + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
             smallest += sizes.tolist()
         return smallest
 

@@ -47,9 +47,15 @@ class EvidenceLaw:
         0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "chosen: 5 %"
     )
 
+    @property
+    def within(self) -> float:
+        """Standard deviations either way that hold 90 % of normal errors: `certain` on each side."""
+        return float(ndtri(self.certain))
+
+    @property
+    def margin(self) -> float:
+        """Standard deviations that the smallest detectable size exceeds the threshold by."""
+        return float(ndtri(self.detected))
+
 
 LAW = EvidenceLaw()
-#: Standard deviations either way that hold 90 % of normal errors: `certain` on each side.
-WITHIN = float(ndtri(LAW.certain))
-#: Standard deviations that the smallest detectable size exceeds the threshold by.
-POWER = float(ndtri(LAW.detected))

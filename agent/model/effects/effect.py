@@ -29,7 +29,8 @@ Numbers = Mapping[str, float]
 BELOW_ZERO = 0.1
 #: Factor by which a fitted share or scale may be off from 1: more is something else.
 MOST_OFF = 3.0
-#: Motion that shows an effect: speed of a joint that slides [rad/s], travel over which torque bends [rad].
+#: Motion that shows an effect: speed of a joint that slides [rad/s], or what it travels in a second [rad]; travel over
+#: which torque bends [rad].
 SLIDES, BENDS = 0.02, 0.2
 #: Nominal torque, and per radian: no joint is built against a stronger spring or hose.
 STRONGEST = 10.0
@@ -127,7 +128,7 @@ class Effect(ABC):
     nonlinear: ClassVar[tuple[str, ...] | None] = None
     residual_driven: ClassVar[bool] = False
     why_absent: ClassVar[str] = ""
-    needs_travel: ClassVar[float] = 0.02
+    needs_travel: ClassVar[float] = SLIDES
     needs_speed: ClassVar[float] = 0.0
     needs_reversals: ClassVar[int] = 0
     fast_torque: ClassVar[bool] = False

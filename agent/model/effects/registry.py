@@ -1,12 +1,15 @@
 """Effects by name: the built-in ones, and what others install under the entry point group below.
 
-An entry point is an `Effect`, as a class or an object, with the name of its entry. One that cannot be loaded, or that
-takes a name that is taken, is reported and left out. `docs/how-to-effect.md` shows one.
+A built-in effect is a class in a module of `agent.model.effects`; nothing else has to name it. An entry point is an
+`Effect`, as a class or an object, with the name of its entry. One that cannot be loaded, or that takes a name that is
+taken, is reported and left out. `docs/how-to-effect.md` shows one.
 """
 
 from __future__ import annotations
 
+import importlib
 import logging
+import pkgutil
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
@@ -15,15 +18,24 @@ from agent.model.effects.effect import Effect
 
 GROUP = "calibration_agent.effects"
 
+#: Results list effects, and a seed draws them, in this order; all others follow by name.
+_FIRST = (
+    "stribeck", "asymmetric_friction", "load_dependent_friction", "viscous_nonlinearity", "thermal_friction",
+    "presliding", "friction_change", "joint_elasticity", "backlash", "torque_ripple", "wrist_coupling", "payload",
+    "gravity_spring", "dress_pack", "base_tilt", "inertial_mismatch", "contact", "torque_constant", "torque_offset",
+    "time_delay", "encoder_offset", "interpolator_mismatch",
+)  # fmt: skip
 _DESCRIBED_BY = ("name", "family", "formula", "source", "signature", "phrase", "look_at")
 _log = logging.getLogger(__name__)
 
 
 class Catalogue(Mapping[str, Effect]):
-    """Effects by name: the built-in ones in the order of the vocabulary, then those installed, by name."""
+    """Effects by name: the built-in ones in the order of results, then those installed, by name."""
 
     def __init__(self, built_in: Iterable[Effect]):
-        self._built_in = {effect.name: effect for effect in built_in}
+        first = {name: number for number, name in enumerate(_FIRST)}
+        ordered = sorted(built_in, key=lambda effect: (first.get(effect.name, len(first)), effect.name))
+        self._built_in = {effect.name: effect for effect in ordered}
 
     @property
     def built_in(self) -> tuple[Effect, ...]:
@@ -52,6 +64,16 @@ class Catalogue(Mapping[str, Effect]):
             elif (effect := _load(point)) is not None:
                 effects[point.name] = effect
         return effects
+
+
+def defined_in(package: str, folders: Iterable[str]) -> Iterator[Effect]:
+    """The effects that the modules of a package define: one of each class that has a name of its own."""
+    for entry in pkgutil.iter_modules(folders, f"{package}."):
+        module = importlib.import_module(entry.name)
+        for kind in vars(module).values():
+            own = isinstance(kind, type) and kind.__module__ == entry.name and "name" in vars(kind)
+            if own and issubclass(kind, Effect):
+                yield kind()
 
 
 def _load(point: EntryPoint) -> Effect | None:

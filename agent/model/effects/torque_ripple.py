@@ -21,8 +21,7 @@ from agent.model.effects.effect import (
 from agent.model.passive_forces import PassiveForces, periodic
 
 _HIGHEST = 13.0  # periods a motor turn
-_LEAST_GEAR = 10.0  # a joint without a gear is looked at as with this one
-_LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant
+_LOWEST = 8.0  # periods a joint turn: below, springs and hoses are meant; a joint without a gear may have them too
 _PEAKS = 3  # numerical: lines that are tried
 _FEWEST = 20  # numerical: samples that a line's mean power is of at least
 _FINE = 4  # numerical: bins a period, and points of the spectrum a bin
@@ -54,7 +53,7 @@ class TorqueRipple(Effect):
         (axle,) = joints
         low, high = travelled(context, axle)
         gear = abs(float(context.reference.robot.gear_ratios[axle]))
-        highest = _HIGHEST * max(gear, _LEAST_GEAR)
+        highest = _HIGHEST * max(gear, _LOWEST)
         bins = int((high - low) * highest / 2 / np.pi * _FINE) + 2
         twice = 2 * (2 * np.pi) / (high - low)  # order of two periods in all
         if bins > 2_000_000 or twice > highest:
