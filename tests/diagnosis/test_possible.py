@@ -74,13 +74,13 @@ def test_a_spring_torque_stays_within_the_joint_limit(reference):
 def test_torque_within_stiction_at_standstill_keeps_no_cause_from_closing_the_gap(diagnosed):
     found = diagnosed(1)
     fit = found.selected.fit
-    rest = (fit.sigma > 1.01 * fit.sigma.min(axis=0)) & (np.arange(fit.reference.robot.dof) == 1)
-    rows = [np.column_stack([part[:, :-1], part[:, -1] + 0.8 * rest[:, j]]) for j, part in enumerate(fit.rows)]
+    rest = fit.near_rest & (np.arange(fit.reference.robot.dof) == 1)
+    rows = [np.column_stack([part[:, :-1], part[:, -1] + 1.5 * rest[:, j]]) for j, part in enumerate(fit.rows)]
     open_at_rest = Fit(
         fit.reference, fit.signals, rows, fit.index, fit.sigma, fit.precision, fit.shift,
         fit.cell, fit.block, fit.folds, fit.single,
     ).with_chosen(fit.chosen)  # fmt: skip
-    residual = found.dataset.residual + 0.8 * rest * fit.sigma
+    residual = found.dataset.residual + 1.5 * rest * fit.sigma
     gap = held_out_gap(replace(found.dataset, residual=residual), open_at_rest)
     assert rms(open_at_rest.out_of_fold())[1] > 2 * rms(fit.out_of_fold())[1], "the error is there"
     assert gap.after.max() < 2 * found.gap.after.max(), "and it is no gap"

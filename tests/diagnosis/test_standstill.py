@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.diagnosis import diagnose, with_healthy_effects
 from agent.diagnosis.rows.dataset import assemble
-from agent.diagnosis.rows.standstill import StandstillWhitening
+from agent.diagnosis.rows.standstill import StandstillWhitening, stiction
 from agent.estimation import EstimationSettings, estimate
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording.log import Log
@@ -21,13 +21,13 @@ HELD = 0.08  # s, at most
 AWAY = 0.6  # rad, from where a joint that stands all through one log moves in another
 
 
-def _record(robot: RobotDescription, seed: int, held: float) -> Log:
-    """A motion of one joint that is held for up to `held` [s] wherever it turns back."""
+def _record(robot: RobotDescription, seed: int, held: float, at_least: float = 0.0) -> Log:
+    """A motion of one joint that is held for `at_least` to `held` [s] wherever it turns back."""
     rng = np.random.default_rng(seed)
     time = np.arange(0, 12, 1 / RATE)
     moves = _multisine(1, time, seed)
     turns = np.flatnonzero(np.diff(np.sign(moves[1][:, 0])))
-    pauses = rng.integers(0, int(held * RATE) + 1, len(turns))
+    pauses = rng.integers(int(at_least * RATE), int(held * RATE) + 1, len(turns))
     at = np.insert(np.arange(len(time)), np.repeat(turns + 1, pauses), np.repeat(turns, pauses))
     still = np.diff(at, prepend=-1) == 0
     q = moves[0][at]
@@ -48,15 +48,23 @@ def test_stiction_at_a_reversal_is_not_a_gap():
     assert found.document.verdict == "no_gap"
 
 
-def test_rows_next_to_a_reversal_are_near_a_standstill_however_fast_it_is():
-    """Between two rows that are kept the speed may pass all that is slow."""
+@pytest.mark.parametrize("held", [0.0, 0.3])
+def test_a_reversal_leaves_open_the_part_of_the_filters_window_in_which_the_joint_stands(held):
+    """All that stiction may be in the middle of a long one, little of it where it passes between two rows."""
     robot = _arm(1)
-    logs = [_record(robot, seed, 0.0) for seed in (1, 2)]
-    dataset = assemble(robot, estimate(robot, logs, EstimationSettings.create(cutoff=20)), logs, None)
-    for number, signals in enumerate(dataset.fit.signals):
-        turns = signals.time[:-1][np.diff(np.sign(signals.qd[:, 0])) != 0]
-        time, near = dataset.time[dataset.log == number], dataset.fit.near_rest[dataset.log == number, 0]
-        assert near[np.min(np.abs(time[:, None] - turns), axis=1) < 0.04].all()
+    logs = [_record(robot, seed, held, held) for seed in (1, 2)]
+    fit = assemble(robot, estimate(robot, logs, EstimationSettings.create(cutoff=20)), logs, None).fit
+    moving, level = fit.sigma.min(), stiction(fit.reference)[0] / np.sqrt(3)
+    for log, signals, sigma in zip(logs, fit.signals, fit.sigmas, strict=True):
+        kept = signals.time[signals.kept]
+        turns = log.t[:-1][np.diff(np.sign(np.diff(log.position[:, 0])), append=0.0) != 0]
+        away = np.min(np.abs(kept[:, None] - turns), axis=1)
+        inside = np.interp(kept, log.t, np.abs(np.gradient(log.position[:, 0]))) == 0
+        assert sigma[~inside & (away > 0.1), 0].max() < 1.5 * moving
+        if held:
+            assert sigma[inside & (away > 0.1), 0].min() > 0.95 * level
+        else:
+            assert 2 * moving < sigma[away < 0.01, 0].min() < sigma[:, 0].max() < 0.5 * level
 
 
 def test_the_error_of_a_model_leaves_out_what_stiction_leaves_open():

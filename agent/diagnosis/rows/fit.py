@@ -171,8 +171,8 @@ class Fit:
 
     @property
     def near_rest(self) -> np.ndarray:
-        """(S', n) bool: rows so near to a standstill of their joint that stiction may leave the torque open."""
-        return (self.sigma > (1 + 1e-6) * self.sigma.min(axis=0)) | self.rests.inside(len(self.sigma))
+        """(S', n) bool: rows so near to a standstill that stiction leaves more open than the model's error."""
+        return (self.sigma > np.sqrt(2) * self.sigma.min(axis=0)) | self.rests.inside(len(self.sigma))
 
     @property
     def residuals(self) -> list[np.ndarray]:

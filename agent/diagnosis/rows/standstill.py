@@ -57,9 +57,10 @@ def noise_level(
     signals: Sequence[MotionSignals],
     others: Sequence[MotionSignals] = (),
 ) -> np.ndarray:
-    """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill (`LIMITS.independent`).
+    """Model error (S', n) [N·m]: the held-out error (n,), and more close to a standstill.
 
-    At a standstill, stiction allows any torque below the Coulomb level.
+    At a standstill, stiction allows any torque below the Coulomb level. The torque's filter shows a part of that: the
+    part of its window in which the joint is stationary, which is small where it reverses at once.
 
     Args:
         reference: model whose Coulomb levels count.
@@ -68,11 +69,11 @@ def noise_level(
         others: motions of the same arm, as for `standing`.
     """
     still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
-    near = []  # at the rate of the motion: a fast reversal may lie between two of the rows that are kept
-    for motion, resting in zip(signals, standing(signals, others), strict=True):
-        reach = int(0.5 * LIMITS.independent / float(np.median(np.diff(motion.time))))
-        near.append((_count(resting, reach, reach) > 0)[motion.kept])
-    return np.where(np.concatenate(near), still, moving)
+    parts = [
+        np.clip(motion.low_pass(resting.astype(float)), 0.0, 1.0)
+        for motion, resting in zip(signals, standing(signals, others), strict=True)
+    ]
+    return np.hypot(moving, still * np.concatenate(parts))
 
 
 def stiction(reference: NominalModel) -> np.ndarray:
