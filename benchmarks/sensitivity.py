@@ -324,14 +324,25 @@ def changed(site: Site, factor: float) -> Iterator[None]:
                     object.__setattr__(each, site.name, varied(before, factor))
                     undo.callback(object.__setattr__, each, site.name, before)
         else:
-            new_value = varied(getattr(module, site.name), factor)
+            old_value = getattr(module, site.name)
+            new_value = varied(old_value, factor)
             for other in _holding(site):
                 undo.enter_context(mock.patch.object(other, site.name, new_value))
+                for function, now in _defaults(other, old_value, new_value):
+                    undo.enter_context(mock.patch.object(function, "__defaults__", now))
                 for owner, follower, now in list(_followers(other, site.name)):
                     undo.enter_context(mock.patch.object(owner, follower, now))
         undo.callback(_forget, module)
         _forget(module)
         yield
+
+
+def _defaults(module: Any, old: Any, new: Any) -> Iterator[tuple[types.FunctionType, tuple[Any, ...]]]:
+    """Functions with a constant as the default of an argument, and their defaults with another in its stead."""
+    for function in _functions(module):
+        usual = function.__defaults__ or ()
+        if any(value is old for value in usual):
+            yield function, tuple(new if value is old else value for value in usual)
 
 
 def _holding(site: Site) -> list[Any]:
@@ -724,8 +735,8 @@ def _planned(diagnosis: Any, problem: Any) -> Answer:
 
     pairs = open_pairs(diagnosis)
     planned = plan_experiment(diagnosis, pairs, problem, known_mass.LONGEST)
-    helps = any(known_mass.helped(expected) for expected in planned.expected)
-    mass = None if helps else known_mass.with_a_mass(diagnosis, pairs, problem, 1, Console(verbosity=-1))
+    helps = any(known_mass.makes_answer_likely(expected) for expected in planned.expected)
+    mass = None if helps else known_mass.plan_with_mass(diagnosis, pairs, problem, 1, Console(verbosity=-1))
     asked = [(expected.pair.first.text(), expected.pair.second.text()) for expected in planned.expected]
     return Answer((helps, mass is not None, *asked), min((e.after for e in planned.expected), default=0.0))
 
@@ -801,7 +812,11 @@ class Bench:
         known: dict[str, set[tuple[str, int]]] = {}
         for package in PACKAGES:
             for path in (ROOT / package).rglob("*.py"):
-                functions = (n for n in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(n, ast.FunctionDef))
+                nodes = ast.walk(ast.parse(path.read_text("utf-8")))
+                functions = [node for node in nodes if isinstance(node, ast.FunctionDef)]
+                for function in functions:  # a default is read where the body begins
+                    for name in (node.id for node in function.args.defaults if isinstance(node, ast.Name)):
+                        known.setdefault(name, set()).update((str(path), part.lineno) for part in function.body[:2])
                 for node in (node for function in functions for part in function.body for node in ast.walk(part)):
                     name = node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", None)
                     if name and isinstance(node.ctx, ast.Load):

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.rigid_fit import FitSamples, RigidFit
-from agent.estimation import placeholders
+from agent.estimation import are_placeholders
 from agent.robot import Dynamics, RobotDescription
 
 _TOO_FAR = {"degrees": 5.0, "mm": 100.0}  # times the joint's range: a tenth of what the unit makes of it, at most
@@ -284,4 +284,4 @@ def _measured_masses(robot: RobotDescription) -> np.ndarray | None:
     dynamics = Dynamics(robot)
     masses = dynamics.standard_parameters()
     too_light = masses[::10].sum() < LIGHTEST * dynamics.reach**2
-    return None if placeholders(masses) or too_light else masses
+    return None if are_placeholders(masses) or too_light else masses

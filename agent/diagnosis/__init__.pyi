@@ -1,4 +1,4 @@
-from .corrected_simulator import corrected as corrected, supported_correction as supported_correction
+from .corrected_simulator import corrected_numbers as corrected_numbers, supported_correction as supported_correction
 from .diagnosis import LARGE_ERROR as LARGE_ERROR, TOGETHER as TOGETHER, Diagnosis as Diagnosis
 from .extension import extended_model as extended_model
 from .forward.simulation import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
@@ -22,7 +22,12 @@ from .hypotheses.noise_model import ROW_SPACING as ROW_SPACING, smooth_columns a
 from .hypotheses.search import Search as Search
 from .hypotheses.selected_causes import Hypothesis as Hypothesis, SelectedCauses as SelectedCauses
 from .hypotheses.testability import smallest_sizes as smallest_sizes
-from .labels import could_show as could_show, in_torque as in_torque, shown as shown, torque_gap as torque_gap
+from .labels import (
+    could_show as could_show,
+    has_torque_gap as has_torque_gap,
+    shows_in_torque as shows_in_torque,
+    testable_counts as testable_counts,
+)
 from .limits import LIMITS as LIMITS
 from .position_logs.separation import separations as separations
 from .position_logs.workflow import without_torque as without_torque

@@ -26,7 +26,7 @@ from agent.robot import ParameterLayout
 from agent.simulators import Correction, PositionServos, Released, Simulator, correct, with_servos
 
 
-def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
+def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
     """What the simulator's numbers should be, by all logs or by all but one (`without`).
 
     Rows of positions are linear, and may take a gain of a file that is far off to zero or below. Then all numbers of
@@ -86,7 +86,7 @@ def corrected(diagnosis: Diagnosis, simulator: Simulator, without: int | None = 
 
 def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:
     """The correction; none, with a note, where it does not lower the error of the corrected file itself."""
-    correction = corrected(diagnosis, simulator)
+    correction = corrected_numbers(diagnosis, simulator)
     if diagnosis.dataset.servos is not None or not (
         (diagnosis.released and diagnosis.released.groups) or correction.effects
     ):
@@ -116,7 +116,7 @@ def held_out_errors(diagnosis: Diagnosis, simulator: Simulator) -> tuple[np.ndar
     as_given = _predicted(fit, simulator.model)
     for number, fold in enumerate(fit.folds):
         rows = np.isin(fit.cell, np.flatnonzero(fold.test))
-        fixed = _predicted(fit, corrected(diagnosis, simulator, number).model)
+        fixed = _predicted(fit, corrected_numbers(diagnosis, simulator, number).model)
         remaining[rows] = (dataset.residual + as_given - fixed)[rows]
     remaining = np.where(np.isnan(given), np.nan, remaining)
     return rms(given), rms(diagnosis.gap.beyond(remaining))

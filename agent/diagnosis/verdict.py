@@ -1,15 +1,15 @@
-"""The verdict of a diagnosis: `named` and `supported` choose its causes, then `decide_verdict` alone says the verdict.
+"""The verdict of a diagnosis: `name_causes` and `keep_supported` choose its causes, `decide_verdict` alone says it.
 
 | verdict | condition |
 | --- | --- |
 | `explained` | causes, the executed path or a simulator's numbers explain three quarters of the gap |
-| `ambiguous` | the same, but the first cause has rivals; or causes explain less, so that one is assumed (`supported`) |
+| `ambiguous` | the same, but the first cause has rivals; or causes explain less, so one is assumed (`keep_supported`) |
 | `unknown` | there is a gap, and nothing that may be named explains it |
 | `unknown` | also where none shows, but these motions leave the torque of a joint open that the model was fitted to |
 | `no_gap` | there is none beyond the noise model |
 
-Causes pass two checks before: they are probable (`named`), and they explain motion that their fit did not see
-(`supported`). Whoever else needs the verdict reads it from the result.
+Causes pass two checks before: they are probable (`name_causes`), and they explain motion that their fit did not see
+(`keep_supported`). Whoever else needs the verdict reads it from the result.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ def decide_verdict(
     Parameters
     ----------
     `selected`, `causes`, `closure`
-        What `named` and `supported` leave of a finding, its causes, and the part of the gap that they close, held out.
+        What `name_causes` and `keep_supported` leave of a finding, its causes, and the part of the gap that they close,
+        held out.
     path : sequence of Cause, optional
         A rate, delay or rounding that all motions share, if the executed path is not the planned one; empty if it may
         not be named.
@@ -109,7 +110,7 @@ def has_size(cause: Cause) -> bool:
     return max(closes) >= LIMITS.least_share and all(map(isfinite, (*closes, *values))) and any(values)
 
 
-def named(selected: SelectedCauses) -> SelectedCauses:
+def name_causes(selected: SelectedCauses) -> SelectedCauses:
     """Return what is named of the leading causes by its probability.
 
     None if the arm is likely healthy, if no class is sure enough, or if all causes leave too much to the noise model. A
@@ -119,7 +120,7 @@ def named(selected: SelectedCauses) -> SelectedCauses:
     if not exceeded and selected.healthy > 1 - LAW.certain:
         return selected.without_causes(leaves_gap=False)
     sure = [k for k, probability in enumerate(selected.probability) if probability >= LAW.sure]
-    if not sure or selected.explained < LIMITS.explained:
+    if not sure or selected.explained_share < LIMITS.explained:
         return selected.without_causes(leaves_gap=True)
     selected = replace(selected.only(sure), leaves_gap=exceeded)
     lonely = []
@@ -132,16 +133,16 @@ def named(selected: SelectedCauses) -> SelectedCauses:
     )
 
 
-def supported(
+def keep_supported(
     dataset: Dataset, selected: SelectedCauses, unit: np.ndarray | None = None
 ) -> tuple[SelectedCauses, HeldOutGap]:
     """Return the named causes that held-out figures support, and these figures; `unit` is that of `held_out_gap`.
 
     If the causes close less than `explained` needs, or the change of the model's own parameters closes more than they
     do, another cause may exist: the likeliest one is named with the first. Causes that leave more than a healthy arm
-    leaves are no explanation (`shortfalls`), and those that are not `needed` name nothing; the others are judged again
-    without them. If nothing else is left, the causes explained at most the model's own error, unless a joint `exceeds`
-    that by far.
+    leaves are no explanation (`shortfalls`), and those that others replace name nothing (`drop_replaceable`): what is
+    left is judged again. If nothing else is left, the causes explained at most the model's own error, unless a
+    joint `exceeds` that by far.
     """
     dropped = bool(selected.causes)
     while True:
@@ -152,7 +153,7 @@ def supported(
         closed, alone = gap.closure or 0.0, closed_alone(selected.fit, gap, len(selected.causes))
         if not selected.rivals[0] and (closed < LIMITS.explained or alone < LIMITS.most * closed):
             selected = selected.with_runner_up()
-        if (fewer := needed(selected, gap)) is not None:
+        if (fewer := drop_replaceable(selected, gap)) is not None:
             selected = fewer
             continue
         causes = causes_of(dataset, selected, gap)
@@ -169,7 +170,7 @@ def supported(
         )
 
 
-def needed(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCauses | None:
+def drop_replaceable(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCauses | None:
     """Return the causes without the one that the model and the others replace best; None if all are needed.
 
     These are fitted again without it, in the forms that they have then. What they do not close then has to be a tenth

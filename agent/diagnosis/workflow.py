@@ -11,7 +11,7 @@ from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
 from agent.diagnosis.gap.adequacy import remainders
-from agent.diagnosis.gap.drives_off import as_evidence, channel_zero, said_by_zero
+from agent.diagnosis.gap.drives_off import channel_zero, zero_likelihood, zero_remarks
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.gap.torque_gap import rms
@@ -24,20 +24,19 @@ from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
 from agent.diagnosis.simulator_file.released_numbers import (
     ReleasedSimulator,
-    beyond_usual,
     causes_of_numbers,
     open_numbers,
     released_fit,
 )
-from agent.diagnosis.simulator_file.servo_table import differing, doubtful_gains
+from agent.diagnosis.simulator_file.servo_table import differing_causes, doubtful_gains
 from agent.diagnosis.verdict import (
     Verdict,
     causes_of,
     decide_by_position,
     decide_verdict,
     has_size,
-    named,
-    supported,
+    keep_supported,
+    name_causes,
 )
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
@@ -102,16 +101,16 @@ def diagnose(
     else:
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")
         dataset = assemble(robot, model, logs, cutoff)
-        observed = None if zero is None else as_evidence(zero, dataset.model)
+        observed = None if zero is None else zero_likelihood(zero, dataset.model)
         usual = None if model is None else healthy_on(dataset.fit, model, without)
         search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
-        selected = replace(named(search.run()), zero_known=zero is not None)
+        selected = replace(name_causes(search.run()), zero_known=zero is not None)
         if (held := held_torque(dataset, selected.fit)) is not None:
             selected = selected.without_causes(leaves_gap=True)
-        explanation = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *supported(dataset, selected))
+        explanation = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *keep_supported(dataset, selected))
     motion = motion_gap(logs)
     dataset = explanation.dataset
-    of_zero = () if zero is None else said_by_zero(dataset, explanation.selected, zero)
+    of_zero = () if zero is None else zero_remarks(dataset, explanation.selected, zero)
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
     said = (*_warnings(robot, logs, model is not None), *_of_model(dataset), *beyond, *_path_warnings(motion))
     return build(explanation, _verdict(explanation, motion), motion, (*twice, *of_zero, *said), held)
@@ -136,18 +135,18 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
         pairs = zip(whole, causes, strict=True)
         sized = [of_all for of_all, of_rest in pairs if has_size(of_rest)]
         gap, given, told = explanation.as_given, explanation.released.given, list(filter(has_size, numbers))
-        errs = beyond_usual(gap.before * gap.unit, explanation.selected.fit)
+        errs = gap.before * gap.unit >= explanation.selected.fit.usual_error
         differ = [
             cause
-            for cause in differing(explanation, told)
+            for cause in differing_causes(explanation, told)
             if errs[[names.index(name) for name in cause.joints or names]].any()
         ]
         least = rms(gap.beyond(released_fit(given, open_numbers(given)).out_of_fold()))
-        return decide_by_position(sized, differ, gap.closure, bool((errs & beyond_usual(least, given.fit)).any()))
+        return decide_by_position(sized, differ, gap.closure, bool((errs & (least >= given.fit.usual_error)).any()))
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     dataset = explanation.dataset
-    judged = not np.any(dataset.open_joints & (gap.before * gap.unit > dataset.usual_error))
+    judged = not np.any(dataset.open_joints & (gap.before * gap.unit > dataset.fit.usual_error))
     verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers, judged)
     return with_numbers(verdict, explanation, numbers) if explanation.of_file else verdict
 

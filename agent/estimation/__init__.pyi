@@ -17,4 +17,4 @@ from .normal_equations import inverse as inverse, solve_scaled as solve_scaled
 from .observation import Observation as Observation, check_log as check_log, observe as observe
 from .prior import DESCRIPTION as DESCRIPTION, EITHER as EITHER, physical_prior as physical_prior
 from .refitting import Refit as Refit, conditional_covariance as conditional_covariance, refit as refit
-from .selection import placeholders as placeholders
+from .selection import are_placeholders as are_placeholders

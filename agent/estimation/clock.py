@@ -22,7 +22,9 @@ from agent.recording import Log, line, sample_numbers, settled
 _ROUNDS = 3  # of weights of the joints
 
 
-def taken_at(stamps: np.ndarray, even: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray | None:
+def sampling_times(
+    stamps: np.ndarray, even: np.ndarray, position: np.ndarray, velocity: np.ndarray
+) -> np.ndarray | None:
     """(S,) increasing times [s] from stamps (S,), the even grid (S,), positions and velocities (S, n).
 
     None if fewer than two joints move, so that none confirms another, or if the times do not increase.
@@ -93,7 +95,7 @@ class SampleClock:
             return by_number
         even, stamped = by_number._roughness() if log.even else np.inf, by_stamp._roughness()
         if log.velocity is not None and np.all(np.isfinite(log.velocity[start:stop])):
-            times = taken_at(stamps, late, log.position[start:stop], log.velocity[start:stop])
+            times = sampling_times(stamps, late, log.position[start:stop], log.velocity[start:stop])
             by_velocity = None if times is None else cls(log, start, number, slope, intercept, times)
             if by_velocity and _SMOOTHER * by_velocity._roughness() < min(even, stamped):
                 return by_velocity

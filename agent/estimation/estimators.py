@@ -10,7 +10,7 @@ import numpy as np
 from agent.estimation.normal_equations import (
     Moments,
     clear_gain,
-    collect,
+    collect_moments,
     pseudo_inverse,
     scaled_rank,
     solve_scaled,
@@ -66,7 +66,7 @@ def huber(problem: Problem) -> Estimate:
             1 / np.maximum(1, np.abs(block) / (_TUNING * scale[stop.astype(int), np.arange(block.shape[1])]))
             for block, stop in zip(rows, still, strict=True)
         ]
-        moments = collect(observation, problem.partition, problem.terms, problem.friction(), trusted)
+        moments = collect_moments(observation, problem.partition, problem.terms, problem.friction(), trusted)
         weights = 1 / scale**2
         parameters = problem.solver(moments.weighted(weights))
         share = float(np.mean(np.concatenate(trusted) < 1))

@@ -14,10 +14,10 @@ from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
 from agent.estimation.normal_equations import predicts_better
 from agent.estimation.observation import ENOUGH_TIME, Observation, Partition, observe, partition
-from agent.estimation.problem import Problem, held_runs
+from agent.estimation.problem import Problem, standstill_runs
 from agent.estimation.selection import (
     LOWEST,
-    choose,
+    best_estimate,
     choose_links,
     paper_terms,
     predictive_cutoff,
@@ -94,13 +94,13 @@ def estimate(
     settings = settings or EstimationSettings()
     observation = observe_predictable(rigid_bodies(robot, tool), logs, settings.filter)
     cells = partition(observation.segments)
-    if held_runs(observation):
+    if standstill_runs(observation):
         observation = _first_problem(observation, cells, "offset").discount_held().observation
     names = _COMPARED if settings.method == AUTO else (settings.method,)
     terms = {name: ESTIMATORS[name].friction or settings.friction for name in names}
     problems = {friction: _problem(observation, cells, friction) for friction in dict.fromkeys(terms.values())}
     tried = {name: ESTIMATORS[name].fit(problems[terms[name]]) for name in names}
-    method, chosen = choose(tried) if settings.method == AUTO else next(iter(tried.items()))
+    method, chosen = best_estimate(tried) if settings.method == AUTO else next(iter(tried.items()))
     return build_model(problems[terms[method]], chosen, method, logs)
 
 

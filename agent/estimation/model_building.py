@@ -14,7 +14,7 @@ from agent.estimation.observation import ENOUGH_TIME, SELDOM, SLIDES, Observatio
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import paper_terms
-from agent.estimation.uncertainty import covariance, parameter_prior, silent_directions
+from agent.estimation.uncertainty import covariance, parameter_prior, unobserved_directions
 from agent.model import BAD_CONDITION, RESTS, IdentifiedModel, Reversal, condition_text
 from agent.recording import Log, machines_of
 
@@ -29,7 +29,7 @@ def build_model(problem: Problem, fit: Estimate, method: str, logs: Sequence[Log
     rows = moments.rows.sum(axis=(0, 1))
     times = problem.autocorrelation_times(fit.parameters)
     first = observation.segments[0].motion
-    silent = silent_directions(moments, fit.weights, problem.prior, times)
+    silent = unobserved_directions(moments, fit.weights, problem.prior, times)
     model = IdentifiedModel(
         robot=observation.robot,
         independent=observation.rigid.independent,

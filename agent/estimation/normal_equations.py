@@ -82,7 +82,7 @@ class Moments:
         return Moments(len(chosen), tuple(index), tuple(sums), self.rows, known)
 
 
-def collect(
+def collect_moments(
     observation: Observation,
     partition: Partition,
     terms: tuple[FrictionTerm, ...],

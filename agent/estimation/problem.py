@@ -10,7 +10,7 @@ import numpy as np
 from agent.estimation.normal_equations import (
     Moments,
     autocorrelation_time,
-    collect,
+    collect_moments,
     log_evidence,
     observed_standstill_speed,
     reweight,
@@ -59,7 +59,7 @@ class Problem:
         load = prior.mean[: observation.rigid.count] if load is None else load
         friction = (observation.friction(segment, terms, load) for segment in observation.segments)
         kept = _kept(observation, friction) if keep else []
-        moments = collect(observation, partition, terms, kept or friction)
+        moments = collect_moments(observation, partition, terms, kept or friction)
         return cls(observation, partition, terms, load, moments, prior, prior_weight, links, kept)
 
     def select(self, chosen: np.ndarray) -> Problem:
@@ -158,7 +158,7 @@ class Problem:
         independent row with an error that is uniform within ±f: its rows are multiplied by √(3 k σ² / (N f²)), with σ
         the deviation of the sliding joint and k rows per independent one. All three are from a fit without held rows.
         """
-        if not (runs := held_runs(self.observation)):
+        if not (runs := standstill_runs(self.observation)):
             return self
         fit = self._with_shares([np.where(rows > 0, 0.0, 1.0) for rows in runs])
         weights = fit.weights()
@@ -177,7 +177,7 @@ class Problem:
         parts = zip(observation.segments.items, shares, strict=True)
         items = tuple(replace(segment, share=share) for segment, share in parts)
         observation = replace(observation, segments=replace(observation.segments, items=items))
-        moments = collect(observation, self.partition, self.terms, self.friction())
+        moments = collect_moments(observation, self.partition, self.terms, self.friction())
         return replace(self, observation=observation, moments=moments)
 
     def free_residuals(self, parameters: np.ndarray) -> list[np.ndarray]:
@@ -194,7 +194,7 @@ class Problem:
         return total
 
 
-def held_runs(observation: Observation) -> list[np.ndarray]:
+def standstill_runs(observation: Observation) -> list[np.ndarray]:
     """Per segment (S', n) int: length of the run in which a joint is held; 0 where it is not. Nothing if none is.
 
     A held joint stands still in most of a segment while others move, and moves elsewhere.

@@ -18,7 +18,7 @@ _METHOD_GAIN = 0.02  # of the squared error held out
 _NOT_PHYSICAL = 3.0  # times the error of the first estimator, from which on a consistent fit is a sign of wrong data
 
 
-def choose(estimates: dict[str, Estimate]) -> tuple[str, Estimate]:
+def best_estimate(estimates: dict[str, Estimate]) -> tuple[str, Estimate]:
     """Name and estimate of the best of several estimators by name, with the reason in its note.
 
     The first is the reference. Another estimator replaces it only if its weighted squared error on the held-out folds
@@ -65,7 +65,7 @@ def choose_links(problem: Problem) -> Problem:
     that most have the mass of another one are certainly placeholders.
     """
     opened = problem.with_links(SIZE).with_own_prior_weight()
-    if placeholders(problem.observation.rigid.dynamics.standard_parameters()):
+    if are_placeholders(problem.observation.rigid.dynamics.standard_parameters()):
         return opened
     weights = opened.weights()
     described = opened.with_links(DESCRIPTION)
@@ -80,7 +80,7 @@ def choose_links(problem: Problem) -> Problem:
     return replace(opened, links=EITHER)
 
 
-def placeholders(standard: np.ndarray) -> bool:
+def are_placeholders(standard: np.ndarray) -> bool:
     """Whether links (10 n,) have no mass, or most have the mass of another link: such values are placeholders."""
     mass = np.sort(standard[:: len(LINK_PARAMETERS)])
     if mass[-1] <= 0:

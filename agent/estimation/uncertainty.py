@@ -112,7 +112,7 @@ def _spectra(rows: list[np.ndarray]) -> np.ndarray:
     return np.asarray(power / np.maximum(energy, 1e-300))
 
 
-def silent_directions(moments: Moments, weights: np.ndarray, prior: Prior, times: np.ndarray) -> np.ndarray:
+def unobserved_directions(moments: Moments, weights: np.ndarray, prior: Prior, times: np.ndarray) -> np.ndarray:
     """(d, p) directions in which the data say less than the prior, in units of the prior's standard deviation."""
     information = moments.weighted(weights / times)[:-1, :-1]
     root = np.linalg.cholesky(np.linalg.inv(prior.precision))

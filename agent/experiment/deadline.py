@@ -34,7 +34,7 @@ class Deadline:
         self._begun, self._seconds, self._whole = clock(), seconds, seconds
 
     @property
-    def left(self) -> float:
+    def remaining(self) -> float:
         """[s], negative once it is over."""
         return self._begun + self._seconds - self._clock()
 
@@ -44,9 +44,9 @@ class Deadline:
         other._seconds = part * self._seconds
         return other
 
-    def rest(self) -> Deadline:
+    def from_now(self) -> Deadline:
         """A deadline that begins now and ends with this one."""
-        return Deadline(self._progress, self.left, self._clock)
+        return Deadline(self._progress, self.remaining, self._clock)
 
     def __call__(self, text: str) -> None:
         """Say what is being done.
@@ -56,7 +56,7 @@ class Deadline:
         OutOfTime
             No time is left.
         """
-        if self.left <= 0:
+        if self.remaining <= 0:
             raise OutOfTime
         remaining = self._begun + self._whole - self._clock()
         self._progress(text if remaining == float("inf") else f"{text}, at most {remaining:.0f} s of planning left")

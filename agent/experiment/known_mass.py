@@ -14,7 +14,7 @@ from agent.excitation import LoopProblem
 from agent.experiment.deadline import Deadline
 from agent.experiment.piece_choice import Expected, Experiment, plan_experiment
 from agent.experiment.questions import OpenPair
-from agent.experiment.scorer import tells_apart_by_load
+from agent.experiment.scorer import load_distinguishes
 from agent.model import PAYLOAD, payload_text
 from agent.robot import Tool
 
@@ -57,13 +57,13 @@ class WithMass:
         )
 
 
-def helped(expected: Expected) -> bool:
+def makes_answer_likely(expected: Expected) -> bool:
     """Whether a motion makes a right answer likely that was not."""
     sides = zip(expected.before_if, expected.after_if, strict=True)
     return any(b is not None and a is not None and a > max(LIMITS.most, b + LIMITS.negligible) for b, a in sides)
 
 
-def with_a_mass(
+def plan_with_mass(
     diagnosis: Diagnosis,
     pairs: Sequence[OpenPair],
     problem: LoopProblem,
@@ -83,12 +83,12 @@ def with_a_mass(
     if bare is not None:
         asked = [pair for pair in pairs if id(pair) in doubtful]
         motions = [piece.motion for piece in bare.pieces]
-        if not tells_apart_by_load(diagnosis.dataset, diagnosis.selected.evidence, asked, motions, load):
+        if not load_distinguishes(diagnosis.dataset, diagnosis.selected.evidence, asked, motions, load):
             return None
     console.step("checking whether a known mass at the flange settles it")
     loaded = replace(problem, load=load)
     tried = plan_experiment(diagnosis, pairs, loaded, LONGEST, seed, deadline or Deadline(console.progress))
-    asked_for = [e for e in tried.expected if (id(e.pair) in doubtful if bare else helped(e))]
+    asked_for = [e for e in tried.expected if (id(e.pair) in doubtful if bare else makes_answer_likely(e))]
     best = max(asked_for, key=lambda e: e.after, default=None)
     if best is None or (bare is not None and best.after < LAW.detected):
         return None

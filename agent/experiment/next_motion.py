@@ -13,7 +13,7 @@ from agent.diagnosis import LIMITS, Diagnosis
 from agent.estimation import known_positions
 from agent.excitation import Candidates, LoopProblem, LoopScore
 from agent.experiment.deadline import Deadline
-from agent.experiment.known_mass import LONGEST, WithMass, helped, with_a_mass
+from agent.experiment.known_mass import LONGEST, WithMass, makes_answer_likely, plan_with_mass
 from agent.experiment.piece_choice import Experiment, plan_experiment
 from agent.experiment.pieces import SPEED_ROUND_OFF, Piece
 from agent.experiment.questions import OpenPair, open_pairs
@@ -81,7 +81,7 @@ class NextMotion:
 
     def helps(self) -> bool:
         """Whether it makes a right answer likely that was not, for any pair."""
-        return any(helped(expected) for expected in self.experiment.expected)
+        return any(makes_answer_likely(expected) for expected in self.experiment.expected)
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def plan_motion(
     seed = recipe.search.seed
     experiment = plan_experiment(diagnosis, pairs, problem, seconds, seed, deadline.share(0.5), runs)
     if runs.motion is not None:
-        brakes = brakes_tell(diagnosis, [e.pair for e in experiment.expected])
+        brakes = zero_distinguishes(diagnosis, [e.pair for e in experiment.expected])
         motion = NextMotion(experiment, runs.motion, recipe.robot, recipe.dialect, load, brakes)
         if motion.helps():
             return motion
@@ -152,12 +152,14 @@ def plan_motion(
         why = _refused(problem)
         return NoMotion(f"no motion found in {where} keeps all limits ({why}): run agent check for details", names)
     why = f" ({runs.refused})" if runs.refused else ""
-    mass = None if load is not None else with_a_mass(diagnosis, pairs, problem, seed, console, deadline=deadline.rest())
+    mass = None
+    if load is None:
+        mass = plan_with_mass(diagnosis, pairs, problem, seed, console, deadline=deadline.from_now())
     loads = "" if mass is None else f". {mass.text()}"
     first, second = pairs[0].first, pairs[0].second
     what = f"distinguishes {first.text()} from {second.text()}" if second.form is not None else f"shows {first.text()}"
     moving = f"moving the arm cannot settle this: no motion in {where} {what}{why}"
-    return NoMotion(f"{moving}. {other_test(diagnosis, pairs)}{loads}", names, mass)
+    return NoMotion(f"{moving}. {advice_without_motion(diagnosis, pairs)}{loads}", names, mass)
 
 
 def clearer_with_mass(
@@ -184,8 +186,8 @@ def clearer_with_mass(
     if motion.load is not None:
         return None
     pairs = [expected.pair for expected in motion.experiment.expected]
-    until = None if deadline is None else deadline.rest()
-    return with_a_mass(
+    until = None if deadline is None else deadline.from_now()
+    return plan_with_mass(
         diagnosis, pairs, _where_known(problem, diagnosis), recipe.search.seed, console, motion.experiment, until
     )
 
@@ -274,15 +276,15 @@ class RunnablePieces:
         return text if self._load is None else with_payload(text, self._load, recipe.dialect.comment)
 
 
-def other_test(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> str:
+def advice_without_motion(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> str:
     """What could still distinguish the most urgent pair where no motion does."""
     sides = {side.text(): side.effect for side in (pairs[0].first, pairs[0].second) if side.effect in CATALOGUE}
     looks = "; ".join(f"for {text}, {CATALOGUE[effect].look_at}" for text, effect in sides.items())
-    brakes = f"First, {BRAKES}. If it stays open, try" if brakes_tell(diagnosis, pairs[:1]) else "Try"
+    brakes = f"First, {BRAKES}. If it stays open, try" if zero_distinguishes(diagnosis, pairs[:1]) else "Try"
     return f"{brakes} another posture, load or temperature, or look at the arm: {looks}"
 
 
-def brakes_tell(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
+def zero_distinguishes(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> bool:
     """Whether an offset of a torque channel is open and the zero of the channel is not known."""
     if diagnosis.selected.zero_known:
         return False

@@ -18,7 +18,7 @@ from agent.experiment.pieces import GridMotion, Piece
 Pick = Callable[[Sequence[Piece], Sequence[Piece]], Piece]
 
 
-def together(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
+def fill_time(pick: Pick, pool: Sequence[Piece], seconds: float, begun: Sequence[Piece] = ()) -> list[Piece]:
     """Pieces picked one after the other while one fits into the time.
 
     Args:

@@ -11,7 +11,7 @@ import numpy as np
 from agent.diagnosis import LAW, LIMITS, Diagnosis
 from agent.excitation import LoopProblem
 from agent.experiment.deadline import Deadline, OutOfTime
-from agent.experiment.picking import d_optimal, together
+from agent.experiment.picking import d_optimal, fill_time
 from agent.experiment.pieces import Piece, Pieces
 from agent.experiment.questions import OpenPair
 from agent.experiment.scorer import ExperimentScorer, InformationGain
@@ -91,7 +91,7 @@ def plan_experiment(
         for number in range(_POOL):
             deadline.share(0.5)(f"motions that would tell more: {number + 1} of {_POOL} weighed")
             if (piece := pieces.draw()) is not None:
-                pool.append((piece, scorer.told(piece.motion)))
+                pool.append((piece, scorer.information_of(piece.motion)))
         cut_short = False
     before = scorer.chances(scorer.nothing)
     at_best = scorer.chances(_sum(scorer, pool))
@@ -99,7 +99,7 @@ def plan_experiment(
     if not asked.any():
         return Experiment((), (), len(pool), cut_short)
     chosen = _varied(scorer, pieces, _greedy(scorer, pool, seconds / 2, asked), seconds / 2, asked, deadline)
-    design = together(
+    design = fill_time(
         d_optimal(diagnosis.dataset, scorer.model_information),
         [piece for piece, _ in pool],
         seconds,
@@ -107,7 +107,7 @@ def plan_experiment(
     )
     while design and not runnable(design):
         design.pop()
-    added = sum((scorer.told(piece.motion) for piece in design), scorer.nothing)
+    added = sum((scorer.information_of(piece.motion) for piece in design), scorer.nothing)
     after, detectable = scorer.chances(added), scorer.minimum_detectable_sizes(added)
     expected = tuple(
         Expected(pairs[k], _mean(before[k]), _mean(after[k]), _known(before[k]), _known(after[k]), detectable[k])
@@ -130,7 +130,7 @@ def _varied(
             deadline(f"piece {number + 1} of {len(chosen)} is varied")
             if (other := pieces.vary(chosen[number][0])) is None:
                 continue
-            varied = [*chosen[:number], (other, scorer.told(other.motion)), *chosen[number + 1 :]]
+            varied = [*chosen[:number], (other, scorer.information_of(other.motion)), *chosen[number + 1 :]]
             fits = sum(piece.duration for piece, _ in varied) <= longest
             if fits and _utility(scorer, varied, asked) > _utility(scorer, chosen, asked):
                 chosen = varied

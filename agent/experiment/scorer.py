@@ -74,16 +74,16 @@ class ExperimentScorer:
     def model_information(self, motion: GridMotion) -> np.ndarray:
         """Information (p, p) that a motion adds on the model's own parameters."""
         model = len(self.dataset.fit.precision)
-        return self.told(motion).information[:model, :model]
+        return self.information_of(motion).information[:model, :model]
 
-    def told(self, motion: GridMotion) -> InformationGain:
+    def information_of(self, motion: GridMotion) -> InformationGain:
         """Information that a motion adds."""
         dataset, evidence = self.dataset, self._evidence
         fast = any(form.effect.fast_torque for form in self._forms)
         motion = motion if fast else _thinned(motion)
         log, after = len(dataset.logs), max(s.started + float(s.time[-1]) for s in dataset.fit.signals)
         signals = MotionSignals(self._reference, motion.time, motion.q, motion.qd, motion.qdd, log, started=after)
-        sigma = background_on(dataset, self._reference, signals)
+        sigma = noise_level_on(dataset, self._reference, signals)
         moving = dataset.fit.sigma.min(axis=0)
         sigma = np.where(sigma > (1 + 1e-6) * moving, np.inf, sigma)
         step = float(np.median(np.diff(motion.time)))
@@ -177,7 +177,7 @@ class ExperimentScorer:
         ]
 
 
-def background_on(dataset: Dataset, reference: NominalModel, motion: MotionSignals) -> np.ndarray:
+def noise_level_on(dataset: Dataset, reference: NominalModel, motion: MotionSignals) -> np.ndarray:
     """The verdict's noise level (S, n) [N·m] on a motion that is not in the logs.
 
     The speed threshold of a stationary joint depends on all motions that are diagnosed together. On the motion's coarse
@@ -212,7 +212,7 @@ def _low_pass(rate: float, dataset: Dataset) -> Callable[[np.ndarray], np.ndarra
     return lambda columns: sosfiltfilt(sections, np.nan_to_num(columns), axis=0)
 
 
-def tells_apart_by_load(
+def load_distinguishes(
     dataset: Dataset, evidence: Evidence, pairs: Sequence[OpenPair], motions: Sequence[GridMotion], load: Tool
 ) -> bool:
     """Return whether a known load at the flange improves what the same motions distinguish.
@@ -226,7 +226,7 @@ def tells_apart_by_load(
     """
     bare, loaded = (ExperimentScorer(dataset, evidence, pairs, mass) for mass in (None, load))
     first, second = (
-        np.nan_to_num(scorer.evidence(sum((scorer.told(motion) for motion in motions), scorer.nothing)))
+        np.nan_to_num(scorer.evidence(sum((scorer.information_of(motion) for motion in motions), scorer.nothing)))
         for scorer in (bare, loaded)
     )
     return bool(np.any(second > LIMITS.alike * first))

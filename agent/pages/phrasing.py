@@ -13,11 +13,11 @@ from agent.diagnosis import (
     TOGETHER,
     amplitude,
     could_show,
-    in_torque,
+    has_torque_gap,
     leading_parameter,
-    shown,
+    shows_in_torque,
     size_text,
-    torque_gap,
+    testable_counts,
 )
 from agent.model import CATALOGUE
 from agent.pages.elements import NextStep
@@ -118,7 +118,7 @@ def headline(result: Mapping[str, Any]) -> str:
         return capital(f"{verdict_text(result)}{on}.")
     cause = result["causes"][0]
     sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
-    agrees = "" if torque_gap(result) else f" {_in_torque(result)}"
+    agrees = "" if has_torque_gap(result) else f" {_in_torque(result)}"
     more = "".join(
         f" Also on {_listed([place(result['causes'][number]) for number in numbers])}: {effect_phrase(effect, result)}."
         for effect, numbers in _further(result).items()
@@ -182,7 +182,7 @@ def closes(cause: Mapping[str, Any], result: Mapping[str, Any]) -> str:
         return ""
     closure = step if result["closure"] is None else min(step, result["closure"])
     part = "all" if closure > 0.995 else "less than 1 %" if abs(closure) < 0.005 else f"{100 * closure:.0f} %"
-    if not in_torque(cause):
+    if not shows_in_torque(cause):
         return f"closes {part} of the gap between planned and executed path"
     own = cause.get("closure_of_joints") if closure < _STEP and cause["joints"] else None  # named by its own joints
     if own is not None:  # little of the arm's gap is much of its own joints'
@@ -241,7 +241,7 @@ def share_text(entry: Mapping[str, Any]) -> str:
 
 def where_sentences(result: Mapping[str, Any]) -> Iterator[str]:
     """The joints that carry the gap, each with the regimes in which more of it lies than time is spent there."""
-    if not torque_gap(result):
+    if not has_torque_gap(result):
         return
     for entry in result["where"]:
         if entry["share"] < _SOME:
@@ -270,7 +270,7 @@ def _where(result: Mapping[str, Any]) -> Iterator[str]:
     sentences = list(where_sentences(result))
     if result["causes"] and not any(said.startswith(f"{place(result['causes'][0])} has") for said in sentences):
         yield f"{_opening(result['causes'][0])}."
-    if not torque_gap(result):
+    if not has_torque_gap(result):
         yield _in_torque(result)
         if worst:
             of = _judged(result).lower()
@@ -293,7 +293,7 @@ def _error(result: Mapping[str, Any], joint: str) -> str:
     before, after = (figure_text(gap[side][k], gap["units"][k]) for side in ("before", "after"))
     if gap["units"][k] == SHARE:
         before += " of nominal torque"
-    return before + (f"; {after} with what was found" if result["causes"] and torque_gap(result) else "")
+    return before + (f"; {after} with what was found" if result["causes"] and has_torque_gap(result) else "")
 
 
 def _what(result: Mapping[str, Any]) -> Iterator[str]:
@@ -365,7 +365,7 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 
 def _found_if_there(result: Mapping[str, Any]) -> str:
     """Confidence in "no gap": the effects that would have been found, joint by joint, and the model's own error."""
-    detectable, count = shown(result)
+    detectable, count = testable_counts(result)
     some = f"{detectable} of {count} effects, counted joint by joint,"
     known = "Every effect" if detectable == count else some if detectable else "No effect"
     error = result.get("model_error") or 0.0

@@ -29,10 +29,10 @@ def ending_text(run: RunFolder, recipe: Recipe) -> str:
     kind, accepted = run.state["kind"], run.state["status"] == "finished"
     steps = next_steps(kind, accepted, run.path, recipe, recipe.path, current)
     following = "; ".join(f"{step.what} {step.command}" for step in steps)
-    return f"{'current model':20}{whose(current, run.path.name)}\n{'next':20}{following}"
+    return f"{'current model':20}{current_model_text(current, run.path.name)}\n{'next':20}{following}"
 
 
-def whose(current: str | None, run: str) -> str:
+def current_model_text(current: str | None, run: str) -> str:
     """The current model in words, as seen from one run."""
     if current is None:
         return "none yet: no accepted run of this robot"
@@ -73,7 +73,7 @@ def next_steps(kind: str, accepted: bool, run: Path, recipe: Recipe, path: Path,
     return [NextStep("to list earlier results:", f"agent history{where}"), NextStep("after a repair:", calibrate)]
 
 
-def going_on(run: RunFolder, step: str, error: BaseException) -> str:
+def resume_advice(run: RunFolder, step: str, error: BaseException) -> str:
     """What a run that an error stopped in a step has kept, and the command that goes on.
 
     The command repeats the `options` noted in the run, but not `--yes`. A calibration is resumed, unless its recipe was

@@ -10,7 +10,7 @@ from typing import Any
 
 from agent.core import AgentError, Console, ControllerError, InputError, counted, sha256_file
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
-from agent.pipeline.ending import ending_text, going_on
+from agent.pipeline.ending import ending_text, resume_advice
 from agent.pipeline.plan import LoopMotion, Plan, program_text
 from agent.pipeline.reports import refresh_index
 from agent.recipe import Recipe
@@ -93,7 +93,7 @@ class Job:
                 self.run.stopped(name, str(error) or type(error).__name__)
             except AgentError as unsaved:  # a full disk: the message about the run still comes last
                 self.console.warn(f"that it was stopped could not be noted: {unsaved}")
-            self.console.warn(going_on(self.run, name, error))
+            self.console.warn(resume_advice(self.run, name, error))
             raise
         if self.run.finished(name) is None:
             self.run.finish(name)

@@ -26,7 +26,7 @@ from agent.pipeline.identify import check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome
 from agent.pipeline.plan import LoopMotion, loop_problem, program_text
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
-from agent.pipeline.result import conditions, gate_decision, gate_figures, recorded, temperatures
+from agent.pipeline.result import conditions, gate_decision, gate_figures, provenance_of, temperatures
 from agent.recipe import Recipe
 from agent.recording import Log, read_log
 from agent.robot import outcome_text, torque_units, without_nominal
@@ -329,7 +329,7 @@ def _result(
         ),
         "loop": {"created": loop.created, "fitness": loop.fitness, "via_points": np.array(loop.poses)[:, :3, 3]},
         "conditions": met,
-        **recorded(job.run, [recording]),
+        **provenance_of(job.run, [recording]),
     }
 
 

@@ -25,7 +25,7 @@ from agent.pages import (
     recalibration_report,
     torque_plot,
 )
-from agent.pipeline.ending import next_steps, whose
+from agent.pipeline.ending import current_model_text, next_steps
 from agent.pipeline.plan import Plan, shown_loop
 from agent.recipe import Recipe
 from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
@@ -107,7 +107,7 @@ def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> A
         ("controller", f"{recipe.controller.driver} {recipe.controller.place}"),
         ("date", provenance["started"].replace("T", " ").removesuffix("+00:00")[:16] + " UTC"),
         ("run", run.name),
-        ("current model", whose(current, run.name)),
+        ("current model", current_model_text(current, run.name)),
         ("program", f"calibration-agent {provenance.get('version of calibration-agent', '')}".strip()),
     ]
     return About(asked=_ASKED[kind], next=steps, identity=identity)

@@ -73,7 +73,7 @@ def calibration_result(
             "normalised_rmse_all_samples": list(overall.normalised_rmse),
             "relative_error_all_joints": overall.relative_error_all_joints,
         },
-        **recorded(run, recordings),
+        **provenance_of(run, recordings),
         "serial": run.state["serial"],
         "conditions": met,
     }
@@ -84,7 +84,7 @@ def gate_figures(recipe: Recipe) -> dict[str, Any]:
     return {"normalised_rmse": recipe.gate.normalised_rmse, "not_judged": list(without_nominal(recipe.robot))}
 
 
-def recorded(run: RunFolder, recordings: Sequence[Recording]) -> dict[str, Any]:
+def provenance_of(run: RunFolder, recordings: Sequence[Recording]) -> dict[str, Any]:
     """`recordings`, one per log with its length [s], and `provenance`: versions and SHA-256 of all that went in."""
     state = run.state
     sources = {f"version of {name}": version for name, version in state["versions"].items()}

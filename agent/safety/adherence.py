@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.safety.freshness import CREEPS, FROZEN, Frozen
+from agent.safety.freshness import CREEPS, FROZEN, StuckPositions
 from agent.safety.planned_program import is_standstill
 from agent.safety.reference_path import ReferencePath
 
@@ -109,7 +109,7 @@ class Adherence:
         if len(chains) > 1 and is_standstill(chains[0]):
             chains = chains[1:]
         self._path = ReferencePath.of(chains, self._dynamics, self._margin, robot.max_velocity)
-        self._frozen = Frozen(robot.max_velocity, GAP)
+        self._frozen = StuckPositions(robot.max_velocity, GAP)
         self._longest_rest, self._stands_since = longest_rest, np.nan
         self._period = period
         self._began = np.nan

@@ -98,7 +98,7 @@ class Freshness:
         )
 
 
-class Frozen:
+class StuckPositions:
     """The last samples of a motion: how far positions went, and whether they contradict the speeds.
 
     Args:

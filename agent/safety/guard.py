@@ -20,7 +20,7 @@ from agent.core import ControllerError, InputError, SafetyError, stop_to_come, u
 from agent.robot import RobotDescription
 from agent.safety.adherence import Adherence
 from agent.safety.first_run import FIRST_SPEED, CheckedPrograms
-from agent.safety.planned_program import PlannedProgram, rest_at
+from agent.safety.planned_program import PlannedProgram, standstill_plan
 from agent.safety.preconditions import (
     check_frames,
     check_identity,
@@ -29,7 +29,7 @@ from agent.safety.preconditions import (
     check_ready,
     check_throughput,
     confirm_clear_cell,
-    standing,
+    reported_position,
 )
 from agent.safety.stopping import ANSWERED
 from agent.safety.watch import MotionWatch
@@ -148,7 +148,7 @@ class GuardedLink:
         """(n,) where the arm stands now [rad]."""
         with self._advice("check the link, then run the command again"):
             status = self._driver.status()
-        return standing(status, self.robot, self.address)
+        return reported_position(status, self.robot, self.address)
 
     @property
     def _unseen(self) -> bool:
@@ -210,7 +210,7 @@ class GuardedLink:
             DriverError: refused, or the link failed; what was received has been handed out.
         """
         position = self._check(program)
-        plan = program.chains or (rest_at(position),)
+        plan = program.chains or (standstill_plan(position),)
         period = self.identity.period
         adherence = Adherence(plan, self.robot, self._tool, self._margin, period, program.longest_rest)
         watch = MotionWatch(
@@ -318,7 +318,7 @@ class GuardedLink:
         with self._advice("check the link, then run the command again"):
             status = self._driver.status()
             check_ready(status, self.address, program.name, program.checksum)
-            position = standing(status, self.robot, self.address)
+            position = reported_position(status, self.robot, self.address)
             check_plan(program, self.robot, position, self.address)
             check_frames(program.name, program.frames, self._driver, self.address)
         return position

@@ -25,7 +25,7 @@ def is_standstill(chain: Trajectory) -> bool:
     return bool(np.ptp(chain.q, axis=0).max() < THERE)
 
 
-def rest_at(position: np.ndarray) -> Trajectory:
+def standstill_plan(position: np.ndarray) -> Trajectory:
     """The plan of an arm that stays at `position` (n,)."""
     from agent.motion import Trajectory
 

@@ -106,7 +106,7 @@ def check_ready(status: Status, address: str, program: str, checksum: str) -> No
         raise ControllerError(f"{address}: not ready to move: {'; '.join(faults)}; then run the command again")
 
 
-def standing(status: Status, robot: RobotDescription, address: str) -> np.ndarray:
+def reported_position(status: Status, robot: RobotDescription, address: str) -> np.ndarray:
     """(n,) where the arm stands.
 
     Raises:

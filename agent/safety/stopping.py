@@ -266,7 +266,7 @@ class Stopping:
     def _look_at_state(self) -> None:
         """Ask for the state, one question at a time."""
         if self._look.done():
-            self._look = aside("eyes", self._take_state, self._clock())
+            self._look = run_in_thread("eyes", self._take_state, self._clock())
 
     def _take_state(self, asked: float) -> None:
         """What the state says, which was asked for at a time [s] of our clock: it may be as old as that."""
@@ -280,7 +280,7 @@ class Stopping:
                 self._stated.take(np.array([self._state_at]), position[None])
 
 
-def aside(name: str, task: Callable[[float], None], time: float) -> Future[None]:
+def run_in_thread(name: str, task: Callable[[float], None], time: float) -> Future[None]:
     """Run a task in a daemon thread of that name. Where a signal interrupts the start of an executor's thread, Python
     waits for that thread at its end, for ever."""
     done: Future[None] = Future()

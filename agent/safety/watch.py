@@ -15,7 +15,7 @@ from agent.core import AgentError, ControllerError, SafetyError
 from agent.safety.adherence import Adherence
 from agent.safety.freshness import EXCUSED, Freshness
 from agent.safety.preconditions import unsafe_in_motion
-from agent.safety.stopping import Stopping, aside
+from agent.safety.stopping import Stopping, run_in_thread
 from drivers.errors import DriverError, MotionStopped
 from drivers.protocol import Driver, ReportsSettings, ReportsTemperatures, SampleBlock, Status
 
@@ -340,7 +340,7 @@ class MotionWatch:
         """Ask for the state in a thread of its own, one question at a time; raises what the last question raised."""
         if self._asked.done():
             self._asked.result()
-            self._asked = aside("state", self._judge_state, self._now)
+            self._asked = run_in_thread("state", self._judge_state, self._now)
             wait([self._asked], PROMPT)
 
     def _judge_state(self, now: float) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from agent.excitation import LoopProblem
-from agent.experiment import KINDS, Pick, Piece, Pieces, together
+from agent.experiment import KINDS, Pick, Piece, Pieces, fill_time
 
 #: Pieces that are drawn, to choose from.
 _POOL = 80
@@ -43,7 +43,7 @@ def pieces_otherwise(
     """
     pieces = Pieces(problem, range(problem.robot.dof), seconds, np.random.default_rng(seed), kinds)
     pool = [piece for piece in (pieces.draw() for _ in range(_POOL)) if piece is not None]
-    chosen = together(pick, pool, seconds)
+    chosen = fill_time(pick, pool, seconds)
     while chosen and not runnable(chosen):
         chosen.pop()
     return tuple(chosen)

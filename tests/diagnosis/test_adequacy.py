@@ -12,7 +12,7 @@ from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
 from agent.diagnosis.rows.dataset import assemble
-from agent.diagnosis.verdict import needed
+from agent.diagnosis.verdict import drop_replaceable
 from agent.model import CATALOGUE
 from fake_controller.plant import Plant
 from tests.small_arms import learn, make_arm, record
@@ -167,9 +167,9 @@ def test_a_cause_that_the_others_replace_in_another_form_is_not_needed(case):
     both = SelectedCauses(
         case.fit, case.fit.with_chosen((poor, level)), (poor, level), ((), ()), (0.9, 0.9), 1.0, (pair, alone), None
     )
-    fewer = needed(both, held_out_gap(case, both.fit))
+    fewer = drop_replaceable(both, held_out_gap(case, both.fit))
     assert fewer.causes == (right,)
-    assert needed(fewer, held_out_gap(case, fewer.fit)) is None
+    assert drop_replaceable(fewer, held_out_gap(case, fewer.fit)) is None
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from agent.diagnosis.hypotheses.noise_model import HealthyForm
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.rows.dataset import assemble
-from agent.diagnosis.verdict import named
+from agent.diagnosis.verdict import name_causes
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.pipeline import FitQuestion, estimate_files
@@ -43,8 +43,8 @@ def fit_of(robot, model, effects=(), seeds=(21, 22)):
 
 
 def test_names_an_offset_or_an_equivalent_and_nothing_on_a_healthy_arm(robot, model):
-    assert verdict_on(named(Search(fit_of(robot, model)).run())) == "no_gap"
-    decision = named(Search(fit_of(robot, model, [OFFSET])).run())
+    assert verdict_on(name_causes(Search(fit_of(robot, model)).run())) == "no_gap"
+    decision = name_causes(Search(fit_of(robot, model, [OFFSET])).run())
     assert ("torque_offset", (1,)) in (decision.causes[0].place, *decision.rivals[0])
     assert decision.probability[0] > 0.6
     assert sum(h.probability for h in decision.hypotheses) == pytest.approx(1.0, abs=1e-6)
@@ -52,11 +52,11 @@ def test_names_an_offset_or_an_equivalent_and_nothing_on_a_healthy_arm(robot, mo
 
 def test_an_effect_of_the_healthy_arm_is_not_named(robot, model):
     fit = fit_of(robot, model, [OFFSET])
-    found = {cause.place for cause in named(Search(fit).run()).causes}
+    found = {cause.place for cause in name_causes(Search(fit).run()).causes}
     assert found
     forms = [form for batch in Search(fit).forms() for form in batch if form.place in found]
     usual = [HealthyForm(form, np.full(len(form.names), 6.0)) for form in forms]  # N·m, as large as the effect
-    again = named(Search(fit, healthy=usual).run())
+    again = name_causes(Search(fit, healthy=usual).run())
     assert not {cause.place for cause in again.causes} & found
 
 
@@ -106,7 +106,7 @@ def healthy_finding(machine: int) -> SelectedCauses:
     )
     model = with_healthy_effects(estimate(robot, baseline), baseline)
     fit = assemble(robot, model, logs, None).fit
-    return named(Search(fit, healthy=healthy_on(fit, model)).run())
+    return name_causes(Search(fit, healthy=healthy_on(fit, model)).run())
 
 
 @pytest.mark.verify

@@ -153,7 +153,7 @@ def test_columns_are_made_once_and_anew_for_another_reference(plain):
     with patch(
         "agent.diagnosis.rows.fit.NominalModel", lambda *given: SimpleNamespace(given=given, coupling=np.eye(2))
     ):
-        seen = loaded.seen_from(heavy)
+        seen = loaded.with_reference(heavy)
     assert seen.reference is seen.signals[0].reference is heavy
     assert seen.signals[1].reference.given == (heavy.model, "a load")
     assert seen.candidate(offset, (1,), {}) is not second

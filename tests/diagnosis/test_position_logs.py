@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from agent.cli.app import app
 from agent.core import InputError
-from agent.diagnosis import corrected, diagnose
+from agent.diagnosis import corrected_numbers, diagnose
 from agent.diagnosis.position_logs.recording import stretches_of
 from agent.model import NominalModel
 from agent.recording import HOLD, Log, write_log
@@ -101,7 +101,7 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
         assert low <= value <= high
         assert high > 0.069  # smooth from frame to frame, these commands would be late by half a frame more
     out = tmp_path / "fixed.xml"
-    write_corrected(simulator, corrected(found, simulator), out)
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
     assert error_of(out, recorded(source, 3, late=0.06, gain=0.7)) < 2e-3
 
 
@@ -127,7 +127,7 @@ def test_servos_fifty_times_too_stiff_are_corrected(tmp_path, axis):
     else:
         assert all(low <= 20 <= high for _, low, high in found.result["servo"]["kp"])
     out, other = tmp_path / "fixed.xml", recorded(true, 3, late=0.02)
-    write_corrected(simulator, corrected(found, simulator), out)
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
     assert error_of(out, other) < 4e-3 < 0.1 * error_of(stiff, other)
 
 
@@ -141,7 +141,7 @@ def test_contacts_of_a_file_where_the_arm_was_recorded_are_left_out(source, tmp_
     assert [cause["joints"] for cause in found.result["causes"]] == [["elbow"]]
     assert any("fore and post" in warning for warning in found.result["warnings"])
     out, other = tmp_path / "fixed.xml", recorded(source, 3, gain=0.7)
-    write_corrected(simulator, corrected(found, simulator), out)
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
     assert '<exclude body1="fore" body2="post"' in out.read_text(encoding="utf-8")
     assert error_of(out, other) < 2e-3 < 0.1 * error_of(blocked, other)
 
@@ -266,7 +266,7 @@ def test_friction_holds_a_stationary_joint_where_the_arm_does(source, tmp_path, 
     assert found.verdict == "no_gap"
     assert any("lets a stationary joint creep" in warning for warning in found.warnings) is holds
     out = tmp_path / "fixed.xml"
-    write_corrected(simulator, corrected(found, simulator), out)
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
     assert (mujoco.MjModel.from_xml_path(str(out)).dof_solimp[:, 0] > 0.999).all() == holds
 
 

@@ -9,7 +9,7 @@ from scipy import stats
 
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.posterior import compare, posterior
-from agent.diagnosis.verdict import named
+from agent.diagnosis.verdict import name_causes
 from agent.model import CATALOGUE
 from tests.verdicts import verdict_on
 
@@ -58,7 +58,7 @@ def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
 
 def decided(*told, **more):
     fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.place for cause in causes)))
-    return named(compare(fit, *evaluated(*told, **more)))
+    return name_causes(compare(fit, *evaluated(*told, **more)))
 
 
 @pytest.mark.parametrize("observed", [lambda one: 0.0, lambda one: -3.0 * len(one.places) - 1])
@@ -75,7 +75,7 @@ def test_probability_is_evidence_times_prior(observed):
         prior = log_prior(one.places, one.free) - log_prior((), ())
         assert one.log_bayes_factor == pytest.approx(np.log(one.probability / 0.1) - prior)
     plain, offset = seen[3], seen[0]
-    assert (plain.explained, plain.scale, offset.explained, offset.scale) == (0.0, 4.0, 0.75, 1.0)
+    assert (plain.explained_share, plain.scale, offset.explained_share, offset.scale) == (0.0, 4.0, 0.75, 1.0)
     assert (offset.places, offset.torque, seen[-1].free) == ((OFFSET,), (0.1,), (0, 2))
 
 
@@ -103,7 +103,7 @@ def test_the_likeliest_statement_leads_though_a_hypothesis_of_another_is_likelie
     seen = compare(fit, evidence, found, lambda of, one: given[id(of)](one.told), {"dress_pack"})
     assert [cause.place for cause in seen.causes] == [OFFSET]
     assert (seen.plain, seen.fit, seen.evidence, seen.ignored) == (fit, ("with", OFFSET), evidence, {"dress_pack"})
-    assert seen.explained == pytest.approx(0.8)
+    assert seen.explained_share == pytest.approx(0.8)
 
 
 def test_what_the_healthy_arm_has_and_what_is_too_small_are_both_no_fault():
@@ -193,9 +193,9 @@ def test_a_cause_whose_equal_was_ignored_has_the_likeliest_other_one_as_its_riva
     """There is a gap, but no name for it, where no other hypothesis is on the same joint."""
     fit = SimpleNamespace(with_chosen=list)
     told = hypothesis(0.05, left=1.0), hypothesis(0.9, OFFSET), hypothesis(0.05, other)
-    found = named(compare(fit, *evaluated(*told), ignored={"asymmetric_friction"}))
+    found = name_causes(compare(fit, *evaluated(*told), ignored={"asymmetric_friction"}))
     assert (found.rivals, found.leaves_gap) == (((rivals,), False) if rivals else ((), True))
-    assert named(compare(fit, *evaluated(*told), ignored={"stribeck"})).rivals == ((),)
+    assert name_causes(compare(fit, *evaluated(*told), ignored={"stribeck"})).rivals == ((),)
 
 
 def test_a_hundred_hypotheses_are_kept_and_that_of_nothing():
@@ -218,7 +218,7 @@ def test_a_healthy_arm_may_have_more_than_usual_of_what_it_has_already(times, li
     odds = max(tail, 0) / stats.norm.pdf(size, scale=size) * np.exp(log_prior((), ()) - log_prior((OFFSET,), ()))
     assert shares.get(frozenset(), 0.0) == pytest.approx(odds * shares[frozenset({OFFSET})])
     assert (shares[frozenset({OFFSET})] > LAW.sure) is likely
-    decision = named(compare(SimpleNamespace(with_chosen=list), evidence, found))
+    decision = name_causes(compare(SimpleNamespace(with_chosen=list), evidence, found))
     assert verdict_on(decision) == ("explained" if likely else "no_gap")
 
 
@@ -227,4 +227,4 @@ def test_what_equals_the_baselines_own_is_no_fault(apart, verdict):
     """Twelve times the usual is a fault, unless the baseline had as much."""
     evidence, found = evaluated(hypothesis(0.01, left=1.0), hypothesis(0.99, OFFSET, torque=(0.12,), apart=apart))
     evidence.usual = {OFFSET: 0.01}
-    assert verdict_on(named(compare(SimpleNamespace(with_chosen=list), evidence, found))) == verdict
+    assert verdict_on(name_causes(compare(SimpleNamespace(with_chosen=list), evidence, found))) == verdict

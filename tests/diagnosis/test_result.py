@@ -37,7 +37,7 @@ def test_effects_name_only_effects_of_the_catalogue():
 def test_rows_of_compared_effects_are_made_again(diagnosed):
     found = diagnosed(1).selected
     forms = {form.effect.name: form for one in found.hypotheses for form in one.effects}
-    afresh = found.plain.seen_from(found.plain.reference)
+    afresh = found.plain.with_reference(found.plain.reference)
     for form in forms.values():
         form.release()
         made = afresh.candidate(form.effect, form.joints, form.settings)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from agent.diagnosis.document import Cause
+from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file import servo_table
-from agent.diagnosis.simulator_file.released_numbers import Group, beyond_usual, likely_next_to
+from agent.diagnosis.simulator_file.released_numbers import Group, likely_effects_on
 from agent.diagnosis.verdict import decide_by_position
 
 NAMES = ("lift", "elbow")
@@ -36,7 +37,7 @@ def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, 
     monkeypatch.setattr(servo_table, "doubtful_gains", lambda dataset: () if told else (0,))
     dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=NAMES), servos=SimpleNamespace(file=FILE))
     cause = Cause(effect, joints, 0.5, 0.95, {})
-    return servo_table.differing(SimpleNamespace(dataset=dataset), [cause]) == [cause]  # type: ignore[arg-type]
+    return servo_table.differing_causes(SimpleNamespace(dataset=dataset), [cause]) == [cause]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -92,7 +93,7 @@ def test_numbers_that_close_nothing_together_are_no_cause(closure, exceeds, verd
 @pytest.mark.parametrize(("error", "more"), [(1e-3, False), (3e-3, True)])
 def test_a_joint_errs_by_more_than_a_right_file_does_from_twice_the_expected_error(error, more):
     fit = SimpleNamespace(sigma=np.full((5, 2), 1e-3))
-    assert beyond_usual(np.array([error, 1e-4]), fit).tolist() == [more, False]  # type: ignore[arg-type]
+    assert (np.array([error, 1e-4]) >= Fit.usual_error.fget(fit)).tolist() == [more, False]
 
 
 def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it():
@@ -100,6 +101,6 @@ def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it()
     selected = SimpleNamespace(hypotheses=hypotheses, causes=[])
     released = SimpleNamespace(given=SimpleNamespace(servos=object()))
     friction = Group("friction", 1, np.zeros((9, 2)), np.ones(2))
-    assert likely_next_to(released, selected, friction) == ["stribeck"]  # type: ignore[arg-type]
+    assert likely_effects_on(released, selected, friction) == ["stribeck"]  # type: ignore[arg-type]
     selected.causes = [SimpleNamespace(place=("stribeck", (1,)))]
-    assert likely_next_to(released, selected, friction) == []  # type: ignore[arg-type]
+    assert likely_effects_on(released, selected, friction) == []  # type: ignore[arg-type]

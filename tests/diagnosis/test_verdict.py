@@ -15,7 +15,7 @@ from agent.diagnosis.document import Cause, DiagnosisResult, EffectPlace, JointS
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, has_size, named, supported
+from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, has_size, keep_supported, name_causes
 from agent.model import CATALOGUE
 
 JOINTS = 3
@@ -161,7 +161,9 @@ def found_by_a_search(candidates, rivals, scale=1.0, runner_up=()):
     others = (Hypothesis(runner_up, (), 5.0, {}, (0.1,), 1.0, 1.0),) if runner_up else ()
     evidence, probability = SimpleNamespace(law=LAW, joints=JOINTS), (0.9,) * len(candidates)
     hypotheses = (best, *others, plain)
-    return named(SelectedCauses(_Fit(), _Fit(candidates), candidates, rivals, probability, 1.0, hypotheses, evidence))  # type: ignore[arg-type]
+    return name_causes(
+        SelectedCauses(_Fit(), _Fit(candidates), candidates, rivals, probability, 1.0, hypotheses, evidence)
+    )  # type: ignore[arg-type]
 
 
 def candidate_of(name, *joints, **more):
@@ -193,9 +195,9 @@ def judged_by(selected, gap_of, told, failing=(), own=1.0, large=False):
         return own * (gap.closure or 0.0)
 
     patches = {"held_out_gap": made, "causes_of": told_of, "shortfalls": lacking, "closed_alone": alone}
-    patches |= {"needed": lambda *_: None, "exceeds": lambda *_: large}
+    patches |= {"drop_replaceable": lambda *_: None, "exceeds": lambda *_: large}
     with patch.multiple(rules, **patches):
-        judged, gap = supported(dataset, selected, unit)  # type: ignore[arg-type]
+        judged, gap = keep_supported(dataset, selected, unit)  # type: ignore[arg-type]
     assert gap is gaps[-1]
     return judged, decide_verdict(judged, told(None, judged, gap), gap.closure)
 
@@ -236,9 +238,9 @@ def test_a_cause_is_named_from_the_limits_on():
     found = SelectedCauses(
         _Fit(), _Fit(best), best, ((),), (LAW.sure,), LIMITS.explained, (plain,), None, 1 - LAW.certain
     )  # type: ignore[arg-type]
-    assert named(found).causes == best
-    for less in ({"probability": (LAW.sure - 1e-9,)}, {"explained": 0.7499}, {"healthy": 0.0501}):
-        judged = named(replace(found, **less))
+    assert name_causes(found).causes == best
+    for less in ({"probability": (LAW.sure - 1e-9,)}, {"explained_share": 0.7499}, {"healthy": 0.0501}):
+        judged = name_causes(replace(found, **less))
         assert (judged.causes, judged.leaves_gap) == ((), "healthy" not in less)
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from agent.core.errors import InputError
 from agent.data_quality.rigid_fit import FOLDS, FitSamples, RigidFit
-from agent.estimation import EstimationSettings, estimate, placeholders
+from agent.estimation import EstimationSettings, are_placeholders, estimate
 from agent.model import IdentifiedModel
 from agent.recording import Log, import_log, read_log, scratch, write_log
 from agent.robot import Dynamics, RobotDescription
@@ -244,10 +244,10 @@ def test_links_of_equal_mass_are_placeholders():
     def links(*masses: float) -> np.ndarray:
         return np.concatenate([[mass, *[0.1 * mass] * 9] for mass in masses])
 
-    assert placeholders(links(0, 0, 0))
-    assert placeholders(links(3, 3, 3, 3, 3, 3.2))
-    assert not placeholders(links(3.7, 8.4, 2.3, 1.2, 1.2, 0.2))
-    assert not placeholders(links(5.0))
+    assert are_placeholders(links(0, 0, 0))
+    assert are_placeholders(links(3, 3, 3, 3, 3, 3.2))
+    assert not are_placeholders(links(3.7, 8.4, 2.3, 1.2, 1.2, 0.2))
+    assert not are_placeholders(links(5.0))
 
 
 @pytest.mark.parametrize(("count", "expected"), [(16, True), (400, False)])

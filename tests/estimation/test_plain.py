@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.estimation import EstimationSettings, estimate
 from agent.estimation.problem import Estimate
-from agent.estimation.selection import choose
+from agent.estimation.selection import best_estimate
 from agent.validation import validate
 from tests.estimation.conftest import _links
 
@@ -93,12 +93,12 @@ def _folds(*errors: float) -> Estimate:
 
 def test_changes_the_estimator_only_for_a_gain_above_the_scatter_between_folds():
     usual = {"weighted": _folds(1, 1, 1, 1, 1), "consistent": _folds(1, 1, 1, 1, 1)}
-    name, chosen = choose({**usual, "huber": _folds(0.9, 0.92, 0.91, 0.93, 0.9), "plain": _folds(*5 * [0.95])})
+    name, chosen = best_estimate({**usual, "huber": _folds(0.9, 0.92, 0.91, 0.93, 0.9), "plain": _folds(*5 * [0.95])})
     assert name == "huber"
     assert "segments clearly better than weighted (held-out error relative to weighted:" in chosen.note
-    assert choose({**usual, "huber": _folds(0.5, 0.9, 1.1, 1.1, 1.0)})[0] == "weighted"  # one fold decides
-    assert choose({**usual, "huber": _folds(0.99, 0.985, 0.99, 0.985, 0.99)})[0] == "weighted"  # too little
+    assert best_estimate({**usual, "huber": _folds(0.5, 0.9, 1.1, 1.1, 1.0)})[0] == "weighted"  # one fold decides
+    assert best_estimate({**usual, "huber": _folds(0.99, 0.985, 0.99, 0.985, 0.99)})[0] == "weighted"  # too little
     scattered = np.linspace(0.99, 1.01, 4)
     usual = {name: _folds(*scattered) for name in ("weighted", "consistent")}
-    assert choose({**usual, "plain": _folds(*0.8 * scattered)})[0] == "plain"
-    assert choose({**usual, "plain": _folds(*0.995 * scattered)})[0] == "weighted"
+    assert best_estimate({**usual, "plain": _folds(*0.8 * scattered)})[0] == "plain"
+    assert best_estimate({**usual, "plain": _folds(*0.995 * scattered)})[0] == "weighted"

@@ -11,7 +11,7 @@ from agent.estimation.observation import observe, partition
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
-from agent.estimation.uncertainty import covariance, jackknife, parameter_prior, silent_directions
+from agent.estimation.uncertainty import covariance, jackknife, parameter_prior, unobserved_directions
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
 from agent.robot.bodies import rigid_bodies
 from agent.validation import predict_log
@@ -219,7 +219,7 @@ def test_more_data_leave_fewer_directions_to_the_prior(white):
     covariance_before = np.linalg.inv(problem.prior.precision)
     counts = []
     for times in np.geomspace(1.0, 1e18, 73):
-        silent = silent_directions(problem.moments, found.weights, problem.prior, np.full(2, times))
+        silent = unobserved_directions(problem.moments, found.weights, problem.prior, np.full(2, times))
         information = problem.moments.weighted(found.weights / times)[:-1, :-1]
         values = np.linalg.eigvals(information @ covariance_before).real
         assert len(silent) == np.sum(values < 1)

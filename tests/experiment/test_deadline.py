@@ -24,6 +24,6 @@ def test_shows_the_remaining_time():
     with pytest.raises(OutOfTime):
         deadline.share(0.5)("varying")
     deadline("weighing again")
-    assert deadline.rest().share(0.5).left == pytest.approx(15)
+    assert deadline.from_now().share(0.5).remaining == pytest.approx(15)
     Deadline(said.append)("no limit")
     assert said[-1] == "no limit"

@@ -11,7 +11,7 @@ from agent.diagnosis import MotionCoverage, diagnose
 from agent.experiment import Deadline, d_optimal, open_pairs, plan_experiment
 from agent.experiment.pieces import GridMotion, Pieces
 from agent.experiment.questions import OpenPair, Side
-from agent.experiment.scorer import ExperimentScorer, background_on
+from agent.experiment.scorer import ExperimentScorer, noise_level_on
 from agent.model import CATALOGUE, MotionSignals
 from agent.robot import kinematics_for
 from benchmarks.active.baselines import as_drawn, pieces_otherwise
@@ -46,8 +46,8 @@ def test_a_further_motion_never_reduces_the_separation(arm, ambiguous, first, se
     exact = copy(ambiguous.selected.evidence)
     exact.law = replace(exact.law, form=0.0)  # of a form that is wrong, a rival follows more the more it shows
     scorer = ExperimentScorer(ambiguous.dataset, exact, open_pairs(ambiguous))
-    one = scorer.told(wave(arm, first, seconds))
-    together = one + scorer.told(wave(arm, second, seconds))
+    one = scorer.information_of(wave(arm, first, seconds))
+    together = one + scorer.information_of(wave(arm, second, seconds))
     now, after, both = (scorer.evidence(added) for added in (scorer.nothing, one, together))
     assert np.all(after >= now * (1 - 1e-6))
     assert np.all(both >= after * (1 - 1e-6))
@@ -59,7 +59,7 @@ def test_a_stationary_motion_has_no_information(arm, ambiguous):
     scorer = scorer_of(ambiguous, open_pairs(ambiguous))
     time = np.arange(0, 8, 0.02)
     zero = np.zeros((len(time), arm.dof))
-    told = scorer.told(GridMotion(time, zero + 0.3, zero, zero))
+    told = scorer.information_of(GridMotion(time, zero + 0.3, zero, zero))
     assert not told.information.any()
     assert np.array_equal(scorer.chances(told), scorer.chances(scorer.nothing))
 
@@ -73,7 +73,7 @@ def test_slow_motion_does_not_separate_an_offset_from_asymmetric_friction(arm, a
     time = np.arange(0, seconds, 0.02)[:, None]
     w = 2 * np.pi / seconds * np.arange(1, arm.dof + 1)
     slow = GridMotion(time[:, 0], -np.cos(w * time) / 3, w * np.sin(w * time) / 3, w**2 * np.cos(w * time) / 3)
-    before, after = (scorer.evidence(added)[0, alike] for added in (scorer.nothing, scorer.told(slow)))
+    before, after = (scorer.evidence(added)[0, alike] for added in (scorer.nothing, scorer.information_of(slow)))
     assert after - before < 1.0
 
 
@@ -83,7 +83,7 @@ def test_counts_a_reversal_between_two_samples_as_standstill(arm, ambiguous, rat
     time = np.arange(0, 4, 1 / rate) + 0.3 / rate
     q, qd = np.stack([np.sin(4 * time)] * arm.dof, axis=1), np.stack([4 * np.cos(4 * time)] * arm.dof, axis=1)
     motion = MotionSignals(fit.reference, time, q, qd, -16 * q)
-    still = background_on(ambiguous.dataset, fit.reference, motion) > 1.01 * fit.sigma.min(axis=0)
+    still = noise_level_on(ambiguous.dataset, fit.reference, motion) > 1.01 * fit.sigma.min(axis=0)
     for turn in np.arange(np.pi / 8, 3.9, np.pi / 4):
         assert still[np.abs(time - turn) < 0.04].all()
     assert np.mean(still) < 0.25
@@ -123,7 +123,7 @@ def test_planned_joints_stay_within_their_range(problem):
 def test_an_effect_has_more_energy_on_a_motion_of_its_joint(arm, ambiguous):
     pairs = open_pairs(ambiguous)
     scorer = scorer_of(ambiguous, pairs)
-    turning, other = (scorer.told(wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
+    turning, other = (scorer.information_of(wave(arm, reach, 6.0)) for reach in ((0.0, 0.4), (0.4, 0.0)))
     assert scorer.energy(turning, pairs[0].first) > 10 * scorer.energy(other, pairs[0].first)
 
 
@@ -148,7 +148,7 @@ def test_does_not_predict_a_separation_for_too_short_a_travel(arm, ambiguous):
         values = np.full(len(candidate.names), scale)
         sides.append(Side(name, ("joint_2",), candidate, values))
     scorer = scorer_of(ambiguous, [OpenPair(*sides), OpenPair(sides[0], NOTHING)])
-    wide = scorer.told(wave(arm, [0.4, 0.4], 8.0))
+    wide = scorer.information_of(wave(arm, [0.4, 0.4], 8.0))
     assert scorer.chances(wide)[0, 0] > 0.5
     assert scorer.minimum_detectable_sizes(wide)[1] is not None
     short = MotionCoverage(

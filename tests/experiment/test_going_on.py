@@ -11,7 +11,7 @@ from agent.cli.app import app
 from agent.core import ControllerError, InputError, MismatchError
 from agent.experiment import BRAKES
 from agent.pipeline import GapQuestion
-from agent.pipeline.ending import going_on
+from agent.pipeline.ending import resume_advice
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import options_of
 from agent.runs.folder import RunFolder
@@ -49,10 +49,10 @@ def test_every_option_of_the_question_is_covered():
 
 def test_the_command_to_repeat_a_diagnosis_is_the_original_one(run: RunFolder, tmp_path: Path):
     run.note(kind="diagnose", robot_source="my robot.yaml", options=[*ASKED.options(), *options_of(600.0)])
-    assert "diagnose them with" not in going_on(run, "record", STOPPED)
+    assert "diagnose them with" not in resume_advice(run, "record", STOPPED)
     for name in ("excitation.mcap", "validation_01.mcap", "record"):
         run.finish(name)
-    said = going_on(run, "rounds", STOPPED)
+    said = resume_advice(run, "rounds", STOPPED)
     found = read(said.partition("start again with: ")[2])
     recorded = {"logs": (), "record": found["record"], "runs": tmp_path / "logs", "until_sure": True}
     budgets = {"budget": "600 s", "load": ASKED.next_payload, "planning_budget": "90 s"}
@@ -132,7 +132,7 @@ def test_proposes_a_mass_with_the_command_that_plans_for_it(program):
 
 def test_the_command_to_repeat_a_recalibration_has_its_authorisation(run: RunFolder, tmp_path: Path):
     run.note(kind="recalibrate", options=["--authorisation", "a person's word.yaml"])
-    words = shlex.split(going_on(run, "record", STOPPED).partition("start again with: ")[2])
+    words = shlex.split(resume_advice(run, "record", STOPPED).partition("start again with: ")[2])
     assert words[3:] == ["--logs", str(tmp_path / "logs"), "--authorisation", "a person's word.yaml"]
 
 
@@ -150,7 +150,7 @@ def test_proposes_no_resume_for_a_calibration_stopped_by_its_recipe(run, error, 
     run.note(kind="calibrate")
     if planned:
         run.finish("plan")
-    said = going_on(run, "plan", error)
+    said = resume_advice(run, "plan", error)
     assert ("; continue with: agent calibrate " in said) is goes_on
     assert ("--resume" in said) is goes_on
 

@@ -42,7 +42,7 @@ def evidence(found, truth, rival, motion: GridMotion, payload=None) -> float:
         (candidate,) = fit.candidates([(CATALOGUE[name], (joint,), settings)])
         sides.append(Side(name, (f"joint_{joint + 1}",), candidate, np.asarray(values, dtype=float)))
     scorer = ExperimentScorer(found.dataset, found.selected.evidence, [OpenPair(*sides)], payload)
-    after, before = (scorer.evidence(told)[0, 0] for told in (scorer.told(motion), scorer.nothing))
+    after, before = (scorer.evidence(told)[0, 0] for told in (scorer.information_of(motion), scorer.nothing))
     return float(after - before)
 
 

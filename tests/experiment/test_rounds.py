@@ -9,7 +9,7 @@ import pytest
 
 from agent.core import AgentError, InputError, RejectedError, sha256_text, write_atomically
 from agent.core.console import Console
-from agent.experiment.next_motion import NextMotion, NoMotion, other_test
+from agent.experiment.next_motion import NextMotion, NoMotion, advice_without_motion
 from agent.model import CATALOGUE
 from agent.motion import Delay
 from agent.motion.pdl2 import write_program
@@ -228,12 +228,12 @@ def found_with(zero_known: bool):
 
 def test_names_where_to_look_for_either_cause_if_no_motion_helps():
     pairs = [pair("torque_offset", "none"), pair("stribeck", "presliding")]
-    text = other_test(found_with(False), pairs)  # type: ignore[arg-type]
+    text = advice_without_motion(found_with(False), pairs)  # type: ignore[arg-type]
     assert f"for torque_offset on joint_2, {CATALOGUE['torque_offset'].look_at}" in text
     assert CATALOGUE["stribeck"].look_at not in text, "the most urgent pair"
     assert "--drives-off" in text
-    assert "--drives-off" not in other_test(found_with(True), pairs), "it is there"  # type: ignore[arg-type]
-    no_channel = other_test(found_with(False), pairs[1:])  # type: ignore[arg-type]
+    assert "--drives-off" not in advice_without_motion(found_with(True), pairs), "it is there"  # type: ignore[arg-type]
+    no_channel = advice_without_motion(found_with(False), pairs[1:])  # type: ignore[arg-type]
     assert "--drives-off" not in no_channel, "no motor's current is in it"
 
 

@@ -11,8 +11,8 @@ import pytest
 from agent.core import Console, write_atomically
 from agent.diagnosis import diagnose
 from agent.diagnosis.hypotheses.search import Search
-from agent.experiment import NextMotion, known_mass, open_pairs, tells_apart_by_load
-from agent.experiment.known_mass import with_a_mass
+from agent.experiment import NextMotion, known_mass, load_distinguishes, open_pairs
+from agent.experiment.known_mass import plan_with_mass
 from agent.experiment.pieces import GridMotion
 from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
@@ -63,9 +63,9 @@ def ask(tmp_path: Path, monkeypatch):
             return planned(loaded, pair)
 
         monkeypatch.setattr(known_mass, "plan_experiment", plan)
-        monkeypatch.setattr(known_mass, "tells_apart_by_load", lambda *_: tells)
+        monkeypatch.setattr(known_mass, "load_distinguishes", lambda *_: tells)
         motion = None if bare is None else planned(bare, pair)
-        return with_a_mass(FOUND, [pair], change(problem), 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
+        return plan_with_mass(FOUND, [pair], change(problem), 1, QUIET, motion), tried  # type: ignore[arg-type,list-item]
 
     return run
 
@@ -132,9 +132,9 @@ def test_a_load_separates_load_dependent_friction_from_other_friction():
     qdd = np.gradient(log.velocity, log.t, axis=0)
     motion = GridMotion(log.t, log.position, log.velocity, qdd)
     load = Tool(np.eye(4), 20.0, np.zeros(3))
-    assert tells_apart_by_load(found.dataset, found.selected.evidence, by_load, [motion], load)
+    assert load_distinguishes(found.dataset, found.selected.evidence, by_load, [motion], load)
     sides = []
     for name in ("friction_change", "viscous_nonlinearity"):
         form, *_ = next(Search(found.dataset.fit, only={(name, (1,))}).forms())
         sides.append(Side(name, ("joint_2",), form, np.ones(len(form.names))))
-    assert not tells_apart_by_load(found.dataset, found.selected.evidence, [OpenPair(*sides)], [motion], load)
+    assert not load_distinguishes(found.dataset, found.selected.evidence, [OpenPair(*sides)], [motion], load)

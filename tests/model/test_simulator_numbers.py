@@ -13,9 +13,9 @@ from agent.diagnosis.forward.rollout import MujocoEngine
 from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.explanation import Explanation, _possible, numbers_instead, with_expected_error
+from agent.diagnosis.simulator_file.explanation import Explanation, _possible, replacing_numbers, with_expected_error
 from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, ReleasedSimulator, release
-from agent.diagnosis.verdict import named
+from agent.diagnosis.verdict import name_causes
 from agent.experiment import open_pairs
 from agent.model import CATALOGUE
 from agent.pages import headline, verdict_text
@@ -108,13 +108,13 @@ def test_a_spring_is_compared_with_a_link_mass_error(tmp_path):
     fit = fit.with_chosen(fit.candidates([(spring, cause.joints, cause.settings) for cause in causes]))
     unit = fit.reference.scale
     entry = Explanation(found, SimpleNamespace(), SimpleNamespace(causes=causes), held_out_gap(found.moved, fit, unit))
-    assert numbers_instead(entry, 0, unit) is None, "no link pulls about an upright axis"
-    instead = numbers_instead(entry, 1, unit)
+    assert replacing_numbers(entry, 0, unit) is None, "no link pulls about an upright axis"
+    instead = replacing_numbers(entry, 1, unit)
     assert isinstance(instead, ReleasedSimulator)
     assert ("link inertia", 1) in instead.parts
     rubs = data.fit.candidate(CATALOGUE["stribeck"], (1,), {"speed": 0.1, "shape": 1.0})
     friction = replace(entry, selected=SimpleNamespace(causes=(*causes, rubs)))
-    assert numbers_instead(friction, 2, unit) is None, "no link rubs"
+    assert replacing_numbers(friction, 2, unit) is None, "no link rubs"
 
 
 @pytest.mark.verify
@@ -150,7 +150,7 @@ def test_finds_a_testable_effect_next_to_a_much_larger_one(tmp_path):
     moved = release(sprung(tmp_path, 0.16)).moved
     places = {("gravity_spring", (0,)), ("stribeck", (1,)), ("torque_constant", (0,)), ("asymmetric_friction", (0,))}
     search = Search(moved.fit, only=places)
-    found = named(search.run())
+    found = name_causes(search.run())
     assert smallest_sizes(moved, search.evidence)["stribeck", (1,)] * 0.01 < 0.016, "of nominal torque, as it has"
     assert {cause.place for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
 
@@ -186,13 +186,13 @@ def explaining(left: float, *effects: str, servos: object = None) -> Explanation
     ],
 )
 def test_a_link_mass_alternative_is_listed_only_if_it_fits_as_well(effect, left, stands):
-    assert explaining(left, effect).stands(best=0.1, enough=0.05) == stands
-    assert explaining(left, "stribeck", effect).stands(best=0.1, enough=0.05) == stands
+    assert explaining(left, effect).holds_against(best=0.1, enough=0.05) == stands
+    assert explaining(left, "stribeck", effect).holds_against(best=0.1, enough=0.05) == stands
 
 
 @pytest.mark.parametrize(("left", "stands"), [(0.105, True), (0.12, False)])
 def test_an_effect_where_gains_may_be_wrong_leaves_no_more_than_moved_numbers(left, stands):
-    assert explaining(left, "stribeck", servos=object()).stands(best=0.1, enough=0.05) == stands
+    assert explaining(left, "stribeck", servos=object()).holds_against(best=0.1, enough=0.05) == stands
 
 
 def test_of_explanations_that_leave_as_much_the_delay_costs_nothing_and_an_effect_its_settings():

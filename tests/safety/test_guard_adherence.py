@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agent.safety.adherence import MEASURED, SET_POINTS, TOGETHER, Adherence
-from agent.safety.planned_program import rest_at
+from agent.safety.planned_program import standstill_plan
 from drivers.protocol import SampleBlock
 from tests.safety.following import HOME, PERIOD, ROBOT, at, follow, paced, run, watcher
 
@@ -58,11 +58,11 @@ def test_prismatic_joints_are_reported_in_metres(swing):
 
 @pytest.mark.parametrize("margin", [0.01, 0.05])
 def test_tolerates_tool_deviation_up_to_the_checked_margin(margin):
-    lever = watcher(rest_at(HOME))._path.levers[0]  # from the first axis to the tool
+    lever = watcher(standstill_plan(HOME))._path.levers[0]  # from the first axis to the tool
 
     def beside(metres):
         off = np.array([metres / lever, 0.0, 0.0, 0.0, 0.0, 0.0])
-        return follow(watcher(rest_at(HOME), margin=margin), np.tile(HOME + off, (50, 1)))
+        return follow(watcher(standstill_plan(HOME), margin=margin), np.tile(HOME + off, (50, 1)))
 
     assert beside(0.99 * margin) is None
     reason, _ = beside(1.02 * margin)
@@ -94,7 +94,9 @@ def ramp(seconds):
     """The first joint from rest to 2 rad/s, evenly, and on for half a second; as a plan and as it goes."""
     t = np.arange(0.0, seconds + 0.5, PERIOD)
     speed = np.outer(2.0 * np.minimum(t / seconds, 1.0), np.eye(6)[0])
-    return replace(rest_at(HOME), t=t, q=HOME + PERIOD * np.cumsum(speed, axis=0), qd=speed, move=0 * t.astype(int))
+    return replace(
+        standstill_plan(HOME), t=t, q=HOME + PERIOD * np.cumsum(speed, axis=0), qd=speed, move=0 * t.astype(int)
+    )
 
 
 def test_tolerates_slightly_earlier_acceleration():
@@ -108,7 +110,7 @@ def slow_move(away, seconds=15.0):
     t = np.arange(0.0, seconds + PERIOD / 2, PERIOD)
     s = t / seconds
     q = HOME - away * np.outer(1 - (10 * s**3 - 15 * s**4 + 6 * s**5), np.eye(6)[0])
-    return replace(rest_at(HOME), t=t, q=q, qd=np.gradient(q, t, axis=0), move=0 * t.astype(int))
+    return replace(standstill_plan(HOME), t=t, q=q, qd=np.gradient(q, t, axis=0), move=0 * t.astype(int))
 
 
 @pytest.mark.parametrize("away", [0.3, 0.6, 1.2])

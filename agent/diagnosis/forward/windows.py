@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError, RejectedError
-from agent.diagnosis.corrected_simulator import corrected
+from agent.diagnosis.corrected_simulator import corrected_numbers
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.forward.interval import expected_range
 from agent.diagnosis.forward.rollout import Drive, RolloutEngine, at_motors, engine
@@ -61,7 +61,7 @@ def forward(diagnosis: Diagnosis, simulator: Simulator) -> dict[str, Any]:
     errors = np.full((2, 2, len(windows), len(horizons), dof), np.nan)
     with tempfile.TemporaryDirectory() as folder:
         for fold in sorted({window.fold for window in windows}):
-            correction = corrected(diagnosis, simulator, without=fold)
+            correction = corrected_numbers(diagnosis, simulator, without=fold)
             path = Path(folder) / f"fold_{fold}{simulator.arm.path.suffix}"
             written = write_corrected(simulator, correction, path)
             effects = written_files(path)[1] if written_files(path)[1] in written else None

@@ -39,7 +39,7 @@ def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
 
 def exceeds(fit: Fit, gap: HeldOutGap) -> bool:
     """Return whether a joint errs by more than a model's own error, as given and also if its parameters move."""
-    return bool((np.minimum(*_while_moving(fit, gap)) >= LIMITS.usual_error * fit.sigma.min(axis=0)).any())
+    return bool((np.minimum(*_while_moving(fit, gap)) >= fit.usual_error).any())
 
 
 def _while_moving(fit: Fit, gap: HeldOutGap) -> tuple[np.ndarray, np.ndarray]:

@@ -106,7 +106,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
         )
 
 
-def as_evidence(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence, Evaluated], float]:
+def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence, Evaluated], float]:
     """Return the log likelihood that each hypothesis gives to the zeros of the channels.
 
     An effect that adds to the report of a channel shows there with its own size, alone or with the offset that the
@@ -128,7 +128,7 @@ def as_evidence(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence
     return log_likelihood
 
 
-def said_by_zero(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) -> tuple[str, ...]:
+def zero_remarks(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) -> tuple[str, ...]:
     """Return what a log with the drives off says of the causes, one text a channel that it may concern."""
     sizes = zip(selected.causes, selected.fit.values, strict=True)
     offsets = {c.joints[0]: float(np.abs(v).max()) for c, v in sizes if c.effect.adds_to_report is not None}

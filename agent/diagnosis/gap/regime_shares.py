@@ -107,8 +107,8 @@ def motor_phase_share(dataset: Dataset, error: np.ndarray, joint: int) -> float 
     count = np.bincount(phase, minlength=_PHASES)
     mean = np.bincount(phase, deviation, _PHASES) / np.maximum(count, 1)
     total = float(np.sum(deviation**2))
-    explained = float(np.sum(count * mean**2)) / max(total, 1e-300) - 1 / turns
-    return max(explained, 0.0) * total / max(float(np.nansum(error**2)), 1e-300)
+    predicted = float(np.sum(count * mean**2)) / max(total, 1e-300) - 1 / turns
+    return max(predicted, 0.0) * total / max(float(np.nansum(error**2)), 1e-300)
 
 
 def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:

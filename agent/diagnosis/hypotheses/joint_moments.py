@@ -76,7 +76,7 @@ def solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
     return unit * solved_lower(lower, half, transposed=True), log_det
 
 
-def left_energy(joint: JointMoments, mean: np.ndarray) -> float:
+def remaining_energy(joint: JointMoments, mean: np.ndarray) -> float:
     """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
     own, cross, square = joint.moments
     weights = np.append(mean, -1.0)

@@ -20,7 +20,7 @@ from scipy.special import gammaln
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.score import Evaluated
-from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses, near
+from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses, share_joints
 from agent.diagnosis.rows.candidate import HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
@@ -60,7 +60,7 @@ def compare(
         causes,
         tuple(rivals for rivals, _ in classes),
         tuple(probability for _, probability in classes),
-        leader.explained,
+        leader.explained_share,
         tuple({id(h): h for h in (*hypotheses[:_LISTED], plain)}.values()),
         evidence,
         statements[frozenset(), frozenset()],
@@ -179,7 +179,7 @@ def _equal_by_definition(
         for hypothesis in hypotheses
         if hypothesis.log_bayes_factor >= (1 - LAW.form) * leader.log_bayes_factor and place not in hypothesis.places
         for other in hypothesis.places
-        if other[0] in known and near(place, other)
+        if other[0] in known and share_joints(place, other)
     }
     return tuple(equal)
 
@@ -196,6 +196,6 @@ def _class_of(
     for (places, _), share in statements.items():
         for other in sorted(places - faults) if place not in places else ():
             instead[other] = instead.get(other, 0.0) + share
-    likely = [other for other, share in instead.items() if share >= LAW.rare * own and near(place, other)]
+    likely = [other for other, share in instead.items() if share >= LAW.rare * own and share_joints(place, other)]
     alike = list(dict.fromkeys([*sorted(likely, key=lambda other: -instead[other]), *equal]))[:_RIVALS]
     return tuple(alike), LAW.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))

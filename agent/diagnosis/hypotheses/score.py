@@ -26,7 +26,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.diagnosis.hypotheses.joint_moments import JointMoments, NoiseRoot, left_energy, solved, solved_lower
+from agent.diagnosis.hypotheses.joint_moments import JointMoments, NoiseRoot, remaining_energy, solved, solved_lower
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidateMoments
@@ -173,7 +173,7 @@ class Score:
                 form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
             sizes = [_nearest(self.sizes, max(of_effect.values(), default=0.0)) for of_effect in torque]
             for j in (touched if self._nothing else range(self.joints)) if refit else ():
-                energy = left_energy(joints[j], mean[joints[j].at])
+                energy = remaining_energy(joints[j], mean[joints[j].at])
                 scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
         ridges = [self.pool.ridge(k, size) for k, size in zip(effects, sizes, strict=True)]

@@ -10,7 +10,7 @@ from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 
 
-def near(place: HypothesisKey, other: HypothesisKey) -> bool:
+def share_joints(place: HypothesisKey, other: HypothesisKey) -> bool:
     """Whether two hypotheses have a joint in common, or one of them is on the whole arm."""
     return not place[1] or not other[1] or not set(place[1]).isdisjoint(other[1])
 
@@ -20,9 +20,9 @@ class Hypothesis:
     """Effects that may act together, and joints with something else that is not in the catalogue.
 
     `log_bayes_factor` is that against no effect. `shares` are posterior probabilities by which of the effects are
-    faults: the healthy arm has the others. `torque[k]` is the largest torque of effect k over nominal. `explained` is
-    the share explained of the torque beyond the noise model. `scale` is the largest squared error left on a joint,
-    divided by its noise variance.
+    faults: the healthy arm has the others. `torque[k]` is the largest torque of effect k over nominal.
+    `explained_share` is that of the torque beyond the noise model. `scale` is the largest squared error left on a
+    joint, divided by its noise variance.
     """
 
     effects: tuple[Candidate, ...]
@@ -30,7 +30,7 @@ class Hypothesis:
     log_bayes_factor: float
     shares: Mapping[frozenset[HypothesisKey], float]
     torque: tuple[float, ...]
-    explained: float
+    explained_share: float
     scale: float
 
     @property
@@ -49,8 +49,8 @@ class SelectedCauses:
     """Causes, and the evidence for them; `agent.diagnosis.verdict` names some of them, and says what verdict that is.
 
     `fit` has the causes as part of the model, `plain` has no effects. `rivals[k]` are hypotheses that these motions
-    cannot distinguish from cause k, and `probability[k]` is that of cause k or one of them. `explained` is the share of
-    the torque beyond the noise model that the likeliest hypothesis explains. `hypotheses` are sorted by probability;
+    cannot distinguish from cause k, and `probability[k]` is that of cause k or one of them. `explained_share`, of the
+    torque beyond the noise model, is what the likeliest hypothesis explains. `hypotheses` are sorted by probability;
     `healthy` is the probability of no effect that matters. `ignored`: effects that were not tried. `leaves_gap`:
     whether there is a gap also if no cause may be named. `zero_known`: there was a log with the drives off.
     `rejected`: likely effects that do not explain the gap, and why.
@@ -61,7 +61,7 @@ class SelectedCauses:
     causes: tuple[Candidate, ...]
     rivals: tuple[tuple[HypothesisKey, ...], ...]
     probability: tuple[float, ...]
-    explained: float
+    explained_share: float
     hypotheses: tuple[Hypothesis, ...]
     evidence: Evidence
     healthy: float = 0.0
@@ -122,5 +122,5 @@ class SelectedCauses:
         """The same finding with the likeliest replacement of a cause in another hypothesis as its equal."""
         place, named = self.causes[number].place, {cause.place for cause in self.causes}
         others = (other for h in self.hypotheses if place not in h.places for other in h.places)
-        likely = next((other for other in others if near(place, other) and other not in named), None)
+        likely = next((other for other in others if share_joints(place, other) and other not in named), None)
         return self if likely is None else self.with_rival(number, likely)

@@ -30,7 +30,7 @@ from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frame
 from agent.diagnosis.position_logs.rows import assemble_positions
 from agent.diagnosis.position_logs.starting import error_of, free_of_contacts, numbers_by_equation
 from agent.diagnosis.rows.needs import MotionCoverage
-from agent.diagnosis.simulator_file.explanation import Explanation, explained
+from agent.diagnosis.simulator_file.explanation import Explanation, explain_rows
 from agent.model import MotionSignals, NominalModel
 from agent.recording import HELD, HOLD, SMOOTH, Log
 from agent.simulators import FreeSimulator, ServoNumbers, Simulator
@@ -97,7 +97,7 @@ def search_positions(
     if dataset.servos is not None:
         dataset = replace(dataset, servos=replace(dataset.servos, kp_known=known_kp, later=later))
     said = [*_about(fit, how, later, simulator.arm.impedance), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
-    return PositionExplanation(explained(dataset, without, progress), tuple(said))
+    return PositionExplanation(explain_rows(dataset, without, progress), tuple(said))
 
 
 def _fitted(

@@ -112,12 +112,7 @@ class Dataset:
     @property
     def open_joints(self) -> np.ndarray:
         """(n,) bool: joints whose torque on these motions is open by more than usual of the model's held-out error."""
-        return np.asarray(self.open_error > self.usual_error)
-
-    @property
-    def usual_error(self) -> np.ndarray:
-        """(n,) [N·m] largest error of the model in motion that is its own."""
-        return np.asarray(LIMITS.usual_error * self.fit.sigma.min(axis=0))
+        return np.asarray(self.open_error > self.fit.usual_error)
 
     @property
     def of(self) -> str:

@@ -133,7 +133,12 @@ class Fit:
             self.rests,
         )
 
-    def seen_from(self, reference: NominalModel) -> Fit:
+    @property
+    def usual_error(self) -> np.ndarray:
+        """(n,) [N·m, or rad or m] largest error in motion that is the model's own, or that of a right file."""
+        return np.asarray(LIMITS.usual_error * self.sigma.min(axis=0))
+
+    def with_reference(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
         loads = [signals.reference.payload for signals in self.signals]
         seen = [reference if load is None else NominalModel(reference.model, load) for load in loads]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.standstill import moves
+from agent.diagnosis.rows.standstill import travelling_joints
 from agent.model import Effect, MotionSignals
 
 _METRES = 0.1  # derived: the unit of `Effect.needs_travel` where a joint slides [m]
@@ -34,7 +34,7 @@ class MotionCoverage:
         lowest, highest = (side([side(s.q, axis=0) for s in signals], axis=0) for side in (np.min, np.max))
         speed = np.max([np.abs(s.qd).max(axis=0) for s in signals], axis=0)
         turns = [sum(_turns(s.q[:, j], LIMITS.least_travel) for s in signals) for j in range(robot.dof)]
-        moved = moves(signals)
+        moved = travelling_joints(signals)
         return cls(robot.joint_names, moved, lowest / unit, highest / unit, speed / unit, np.array(turns))
 
     @property

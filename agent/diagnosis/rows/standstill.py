@@ -12,7 +12,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.model import MotionSignals, NominalModel, standstill_speed
 
 
-def standing(signals: Sequence[MotionSignals], others: Sequence[MotionSignals] = ()) -> list[np.ndarray]:
+def stationary_samples(signals: Sequence[MotionSignals], others: Sequence[MotionSignals] = ()) -> list[np.ndarray]:
     """Per motion (S, n) bool: whether a joint is stationary. A joint that never travels always is, whatever its noise.
 
     It is where it reverses, too: a fast reversal may pass the speed threshold between two rows. `others` are other
@@ -20,7 +20,7 @@ def standing(signals: Sequence[MotionSignals], others: Sequence[MotionSignals] =
     """
     known = [*others, *signals]
     slowest = standstill_speed([motion.qd for motion in known], known[0].reference.robot.max_velocity)
-    slowest = np.where(moves(known), slowest, np.inf)
+    slowest = np.where(travelling_joints(known), slowest, np.inf)
     return [(np.abs(motion.qd) <= slowest) | _reverses(motion.qd) for motion in signals]
 
 
@@ -31,7 +31,7 @@ def _reverses(speed: np.ndarray) -> np.ndarray:
     return np.asarray(np.concatenate([turned, nowhere]) | np.concatenate([nowhere, turned]))
 
 
-def moves(signals: Sequence[MotionSignals]) -> np.ndarray:
+def travelling_joints(signals: Sequence[MotionSignals]) -> np.ndarray:
     """(n,) bool: whether a joint travels anywhere in one of the motions."""
     logs = {
         motion.log_index: [other.q for other in signals if other.log_index == motion.log_index] for motion in signals
@@ -39,10 +39,10 @@ def moves(signals: Sequence[MotionSignals]) -> np.ndarray:
     return np.max([np.ptp(np.concatenate(parts), axis=0) for parts in logs.values()], axis=0) > LIMITS.least_travel
 
 
-def at_rest(signals: Sequence[MotionSignals]) -> np.ndarray:
+def standstill_rows(signals: Sequence[MotionSignals]) -> np.ndarray:
     """(S', n) bool, all motions in a row: whether a joint stands there for a while, or close by."""
     parts = []
-    for motion, still in zip(signals, standing(signals), strict=True):
+    for motion, still in zip(signals, stationary_samples(signals), strict=True):
         rate = 1 / float(np.median(np.diff(motion.time)))
         shortest, reach = max(int(LIMITS.independent * rate), 1), int(0.5 * LIMITS.independent * rate)
         begins = _count(still, 0, shortest - 1) == shortest
@@ -66,12 +66,12 @@ def noise_level(
         reference: model whose Coulomb levels count.
         moving: (n,) held-out error of moving joints [N·m].
         signals: filtered motions, whose rows are returned.
-        others: motions of the same arm, as for `standing`.
+        others: motions of the same arm, as for `stationary_samples`.
     """
     still = np.maximum(LIMITS.stiction * stiction(reference), 2 * moving)
     parts = [
         np.clip(motion.low_pass(resting.astype(float)), 0.0, 1.0)
-        for motion, resting in zip(signals, standing(signals, others), strict=True)
+        for motion, resting in zip(signals, stationary_samples(signals, others), strict=True)
     ]
     return np.hypot(moving, still * np.concatenate(parts))
 
@@ -102,7 +102,7 @@ class StandstillWhitening:
     @classmethod
     def of(cls, signals: Sequence[MotionSignals], repeat: float) -> StandstillWhitening:
         """Of some motions in a row, `repeat` rows of which are an independent one."""
-        still = at_rest(signals)
+        still = standstill_rows(signals)
         ends = np.cumsum([len(motion.time[motion.kept]) for motion in signals])
         found_per_joint = []
         for column in still.T:

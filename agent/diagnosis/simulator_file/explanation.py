@@ -34,13 +34,12 @@ from agent.diagnosis.simulator_file.released_numbers import (
     DELAY,
     GAIN,
     ReleasedSimulator,
-    beyond_usual,
     release,
     release_all,
     waterfall,
 )
 from agent.diagnosis.simulator_file.reversals import with_reversals
-from agent.diagnosis.verdict import Verdict, causes_of, has_size, named, supported
+from agent.diagnosis.verdict import Verdict, causes_of, has_size, keep_supported, name_causes
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import BELOW_ZERO, CATALOGUE, IdentifiedModel
 from agent.recording import Log
@@ -90,17 +89,18 @@ class Explanation:
         explains = self.of_file or self.selected.causes
         return waterfall(self.released, self.selected, self.as_given) if explains else ()
 
-    def stands(self, best: float, enough: float) -> bool:
+    def holds_against(self, best: float, enough: float) -> bool:
         """Whether its causes hold against an explanation that moves more numbers and leaves `best`.
 
         Its causes may leave `enough` times as much. A load may leave only what chance explains, as any effect where
         gains of servos may be wrong, and other effects that may be links nothing more.
         """
         if _like_links(self.selected.causes):
-            return self.left <= best
+            return self.remaining_error <= best
         like_load = any(candidate.effect.numbers == "load" for candidate in self.selected.causes)
-        of_servos = self.released.moved.servos is not None
-        return self.left <= LIMITS.alike * best if like_load or of_servos else self.left - best <= enough
+        if like_load or self.released.moved.servos is not None:
+            return self.remaining_error <= LIMITS.alike * best
+        return self.remaining_error - best <= enough
 
     @property
     def parameters(self) -> int:
@@ -110,7 +110,7 @@ class Explanation:
         return moved + sum(len(cause.names) + settings for cause, settings in effects)
 
     @property
-    def left(self) -> float:
+    def remaining_error(self) -> float:
         """Mean square over joints of the remaining error."""
         return float(np.mean(self.gap.after**2))
 
@@ -172,10 +172,10 @@ def search_simulator(
         terms = with_reversals(replace(first.moved, model=first.model)).terms
         expected = with_expected_error(replace(model, terms=terms), logs, _expected(dataset, first.moved.residual))
         dataset = assemble(robot, expected, logs, cutoff, replace(first.model, terms=terms))
-    return explained(dataset, without, progress)
+    return explain_rows(dataset, without, progress)
 
 
-def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str], None]) -> Explanation:
+def explain_rows(dataset: Dataset, without: Sequence[str], progress: Callable[[str], None]) -> Explanation:
     """The simplest of the three explanations of the rows of a simulator that closes as much as any."""
     unit, model = dataset.fit.reference.scale, dataset.model
     search = partial(_search_with, model, without, progress, unit)
@@ -187,16 +187,17 @@ def explained(dataset: Dataset, without: Sequence[str], progress: Callable[[str]
     if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).selected.causes)
-        searches.append(min(search(others), search(everything), key=lambda entry: entry.left))
-    best = min(entry.left for entry in searches)
+        searches.append(min(search(others), search(everything), key=lambda entry: entry.remaining_error))
+    best = min(entry.remaining_error for entry in searches)
     single = [
         k for k, entry in enumerate(searches[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
     ]
-    chosen = next((searches[k] for k in single if searches[k].stands(best, enough)), searches[-1])
+    chosen = next((searches[k] for k in single if searches[k].holds_against(best, enough)), searches[-1])
     if dataset.servos is not None:
-        chosen = min((entry for entry in searches if entry.stands(best, enough)), key=lambda entry: entry.parameters)
+        holding = (entry for entry in searches if entry.holds_against(best, enough))
+        chosen = min(holding, key=lambda entry: entry.parameters)
     for number in range(len(chosen.selected.causes)):
-        if numbers_instead(chosen, number, unit) is not None:
+        if replacing_numbers(chosen, number, unit) is not None:
             chosen = replace(chosen, selected=chosen.selected.with_rival(number, (_LINKS, ())))
     return chosen
 
@@ -213,15 +214,15 @@ def _search_with(
     left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
     searched = search.run()
-    selected = named(searched)
+    selected = name_causes(searched)
     if hunting := [k for k in range(len(searched.causes)) if not selected.causes and _hunts(moved, searched, k)]:
         selected = searched.only(hunting, leaves_gap=True)
-    selected, gap = supported(moved, selected, unit)
+    selected, gap = keep_supported(moved, selected, unit)
     large = [k for k in range(len(selected.causes)) if _misses(moved, selected, gap, k)]
     kept = [k for k in large if _possible(model, selected.fit, k)]
     if len(kept) < len(selected.causes):
         selected = selected.only(kept) if kept else selected.without_causes(leaves_gap=bool(large))
-        selected, gap = supported(moved, selected, unit)
+        selected, gap = keep_supported(moved, selected, unit)
     return Explanation(released, search, selected, gap)
 
 
@@ -232,12 +233,12 @@ def _misses(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap, number:
     With torque a small effect may be named next to a large one, and in positions a servo that `_hunts`.
     """
     if dataset.servos is None:
-        return bool(beyond_usual(gap.before * gap.unit, dataset.fit).any())
+        return bool((gap.before * gap.unit >= dataset.fit.usual_error).any())
     if _hunts(dataset, selected, number):
         return True
     without = rms(gap.beyond(selected.fit.out_of_fold(selected.fit.transient, number)))
     joints = list(selected.causes[number].joints) or slice(None)
-    return bool(beyond_usual(np.minimum(without, gap.before * gap.unit), dataset.fit)[joints].any())
+    return bool((np.minimum(without, gap.before * gap.unit) >= dataset.fit.usual_error)[joints].any())
 
 
 def _hunts(dataset: Dataset, selected: SelectedCauses, number: int) -> bool:
@@ -270,7 +271,7 @@ def with_numbers(verdict: Verdict, explanation: Explanation, numbers: Sequence[C
     return Verdict("ambiguous" if causes[0].equivalent_to else "explained", causes, verdict.closure)
 
 
-def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> ReleasedSimulator | None:
+def replacing_numbers(entry: Explanation, number: int, unit: np.ndarray) -> ReleasedSimulator | None:
     """Numbers that, with the other causes, leave as little without this cause (by number); None if there are none.
 
     Only causes that may be links are checked: a wrong weight of some or all links is more likely.
@@ -280,10 +281,10 @@ def numbers_instead(entry: Explanation, number: int, unit: np.ndarray) -> Releas
         return None
     others = (*causes[:number], *causes[number + 1 :])
     chosen = release(entry.released.given, others)
-    return chosen if _beside(chosen, others, unit) <= LIMITS.alike * entry.left else None
+    return chosen if _remaining_error_with(chosen, others, unit) <= LIMITS.alike * entry.remaining_error else None
 
 
-def _beside(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.ndarray) -> float:
+def _remaining_error_with(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.ndarray) -> float:
     """Mean square over joints that numbers and effects leave; the effects are computed at these numbers."""
     fit = chosen.moved.fit
     forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in causes])

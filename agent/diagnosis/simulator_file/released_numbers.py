@@ -184,7 +184,7 @@ def _moved(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
     released = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(groups))
     if not groups or dataset.servos is not None:  # positions are linear about numbers that were fitted already
         return released
-    return replace(released, moved=replace(released.moved, fit=fit.seen_from(NominalModel(released.model))))
+    return replace(released, moved=replace(released.moved, fit=fit.with_reference(NominalModel(released.model))))
 
 
 def groups_of(dataset: Dataset) -> list[Group]:
@@ -257,10 +257,10 @@ def _of_servos(dataset: Dataset) -> list[Group]:
 
 def drive_groups(dataset: Dataset) -> list[Group]:
     """Friction, rotor and servo of every joint, the delay, and bends: all groups without links."""
-    return [*(group for group in groups_of(dataset) if not group.moves_links), *bends_of(dataset)]
+    return [*(group for group in groups_of(dataset) if not group.moves_links), *damping_bends(dataset)]
 
 
-def bends_of(dataset: Dataset) -> list[Group]:
+def damping_bends(dataset: Dataset) -> list[Group]:
     """How much damping of each joint bends with speed, as grease does: no file has it, and no arm is without.
 
     A straight line takes a bend for Coulomb friction. None where torque is judged.
@@ -277,7 +277,7 @@ def bends_of(dataset: Dataset) -> list[Group]:
 def open_numbers(dataset: Dataset) -> list[Group]:
     """Bends, and the delay where logs of positions leave open how the command was held: a right file may differ."""
     late = [group for group in _of_servos(dataset) if group.kind == DELAY]
-    return [*bends_of(dataset), *(late if dataset.servos is not None and dataset.servos.later else ())]
+    return [*damping_bends(dataset), *(late if dataset.servos is not None and dataset.servos.later else ())]
 
 
 def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
@@ -396,7 +396,7 @@ def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: 
     return bool(np.mean(error**2) <= LIMITS.alike * np.mean(gap.after**2))
 
 
-def likely_next_to(released: ReleasedSimulator, selected: SelectedCauses, group: Group) -> list[str]:
+def likely_effects_on(released: ReleasedSimulator, selected: SelectedCauses, group: Group) -> list[str]:
     """Effects on a group's joint that the likeliest hypothesis has next to it, too small to be needed: the numbers may
     have moved for these. None where torque is judged."""
     if released.given.servos is None:
@@ -429,7 +429,7 @@ def _causing(
     for of_arm in filter(None, (late, [group for group in released.groups if group.moves_links])):
         without = rms(gap.beyond(_without(released, of_arm, causes)))
         closed = (without**2 - (gap.after * gap.unit) ** 2) / fit.sigma.min(axis=0) ** 2
-        if beyond_usual(without, fit).any() and int(np.argmax(closed)) not in doubted:
+        if (without >= fit.usual_error).any() and int(np.argmax(closed)) not in doubted:
             kept += of_arm
     for joint in sorted(set(range(len(fit.rows))) - set(doubted)):
         own = [group for group in released.groups if group.joint == joint and not group.moves_links]
@@ -437,16 +437,11 @@ def _causing(
         while own:  # of numbers that stand in for each other one has to be wrong, not all
             errors = [rms(gap.beyond(_without(released, [*spared, group], causes))) for group in own]
             least = min(range(len(own)), key=lambda k: float(errors[k][joint]))
-            if beyond_usual(errors[least], fit)[joint]:
+            if (errors[least] >= fit.usual_error)[joint]:
                 break
             spared.append(own.pop(least))
         kept += own
     return [group for group in released.groups if any(group is other for other in kept)]
-
-
-def beyond_usual(error: np.ndarray, fit: Fit) -> np.ndarray:
-    """(n,) which joints err by more than a right file does (`LIMITS.usual_error`), of an error (n,) [rad or m]."""
-    return np.asarray(error >= LIMITS.usual_error * fit.sigma.min(axis=0))
 
 
 def causes_of_numbers(
@@ -486,7 +481,7 @@ def causes_of_numbers(
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
             equal = (EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()
-            equal = (*equal, *(EffectPlace(name, joint) for name in likely_next_to(released, selected, group)))
+            equal = (*equal, *(EffectPlace(name, joint) for name in likely_effects_on(released, selected, group)))
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == GAIN and released.given.servos is not None:

@@ -119,7 +119,7 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.nd
     return values, low, high
 
 
-def differing(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
+def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
     """The causes but gains, frictions and delays all of whose intervals hold the file's own numbers.
 
     A number may differ by what a right file is expected to leave, `LIMITS.least_error` of its joint's torque. Where

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, masks, motor_phase_share, torque_gap
+from agent.diagnosis import BANDS, Diagnosis, Simulated, band_shares, has_torque_gap, masks, motor_phase_share
 from agent.model import REGIMES
 from agent.pages.elements import Bar, Bars, Table, shaded_table
 from agent.pages.phrasing import share_text
@@ -126,7 +126,7 @@ def gap_table(result: Mapping[str, Any]) -> Table:
     for joint, unit, *errors in zip(gap["joints"], gap["units"], gap["before"], gap["after"], floors, strict=True):
         before, after, floor = (100 * error if unit == SHARE else error for error in errors)
         bars = [Bar(0.0, before, SERIES[1], 0.05, 0.4), Bar(0.0, after, SERIES[0], 0.5, 0.4)]
-        share = share_text(entries[joint]) if torque_gap(result) else "-"
+        share = share_text(entries[joint]) if has_torque_gap(result) else "-"
         picture = Bars(bars, [(floor, SERIES[3])], unit)
         rows.append((joint, *(figure_text(error, unit) for error in errors), share, picture))
     rows.sort(key=lambda row: -entries[str(row[0])]["share"])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import AgentError, package_version, plus_minus
-from agent.diagnosis import Diagnosis, Simulated, could_show, reported_parameters, simulation_part, torque_gap
+from agent.diagnosis import Diagnosis, Simulated, could_show, has_torque_gap, reported_parameters, simulation_part
 from agent.model import CATALOGUE, PAYLOAD, ModelEffect
 from agent.pages.diagnosis.figures import (
     band_map,
@@ -214,7 +214,7 @@ def _where_section(diagnosis: Diagnosis) -> Section:
 def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Section:
     result, robot = diagnosis.result, diagnosis.dataset.robot
     text = []
-    if result["closure"] is not None and torque_gap(result):
+    if result["closure"] is not None and has_torque_gap(result):
         part = "All" if result["closure"] > 0.995 else f"{100 * result['closure']:.0f} %"
         text.append(f"{part} of the torque gap is closed, counted down to the repeatability.")
     text += [f"Held out: {fold['held_out']}, fitted on {', '.join(fold['fitted_on'])}." for fold in result["folds"]]
@@ -276,7 +276,7 @@ def _hypotheses_section(diagnosis: Diagnosis) -> Section:
         figures = (
             f"{hypothesis.log_bayes_factor:.1f}",
             f"{hypothesis.probability:.3f}",
-            f"{100 * hypothesis.explained:.0f} %",
+            f"{100 * hypothesis.explained_share:.0f} %",
         )
         places = set(hypothesis.places)
         equal = "as good: these logs do not distinguish it" if len(places) == 1 and places <= rivals else ""

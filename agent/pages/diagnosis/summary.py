@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from agent.diagnosis import reported_parameters, size_text, torque_gap
+from agent.diagnosis import has_torque_gap, reported_parameters, size_text
 from agent.pages.elements import Section, Table
 from agent.pages.phrasing import chances_text, diagnosis_summary, effect_phrase, next_text, place
 from agent.robot import figure_text
@@ -39,7 +39,7 @@ def diagnosis_section(result: dict[str, Any]) -> Section:
         )
     gap = result["gap"]
     # where there is no gap in torque, no joint has a share of it
-    shares = {entry["joint"]: entry["share"] for entry in result["where"] if torque_gap(result)}
+    shares = {entry["joint"]: entry["share"] for entry in result["where"] if has_torque_gap(result)}
     where = [
         (joint, figure_text(before, unit, 3), figure_text(after, unit, 3), _percent(shares.get(joint)))
         for joint, before, after, unit in zip(gap["joints"], gap["before"], gap["after"], gap["units"], strict=True)

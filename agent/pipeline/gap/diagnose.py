@@ -15,7 +15,7 @@ from agent.diagnosis import Diagnosis, extended_model, simulation_part, supporte
 from agent.experiment import Deadline, NoMotion
 from agent.model import CATALOGUE, payload_of
 from agent.pages import diagnosis_report, in_short, summary
-from agent.pipeline.gap.diagnosis_run import DiagnosisRun, find, read_at_rest, read_reference
+from agent.pipeline.gap.diagnosis_run import DiagnosisRun, read_at_rest, read_reference, run_diagnosis
 from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.question import GapQuestion, options_of
@@ -61,7 +61,7 @@ def diagnose_files(
     source = robot.name if isinstance(robot, RobotDescription) else robot
     arm = load_arm(robot, paths, question.topic) if isinstance(robot, str) else robot
     question.check(paths)
-    run = find(arm, paths, question, console)
+    run = run_diagnosis(arm, paths, question, console)
     for result in _published(run, question, console, source, paths):
         told(result)
     return result
@@ -120,7 +120,7 @@ def diagnose_recording(
         if budget is not None:
             remaining = budget - sum(recorded.duration for recorded in recordings)
             with job.step("rounds"):
-                found_in = partial(find, loaded.robot, question=question, console=console)
+                found_in = partial(run_diagnosis, loaded.robot, question=question, console=console)
                 rounds = until_sure(found_in, paths, job, remaining, question.planning_budget)
                 if rounds.cut_short is not None:
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
@@ -153,7 +153,7 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
     # the log of a round that was cut short does not count in the result
     further = [Path(round_["program"]).stem for round_ in recorded.get("rounds", ()) if round_.get("verdict")]
     logs = [run / "excitation.mcap", *validation_logs(run), *(run / f"{name}.mcap" for name in further)]
-    diagnosed = find(robot, logs, question, console)
+    diagnosed = run_diagnosis(robot, logs, question, console)
     steps = after_diagnosis(recorded, source, logs, question)
     return diagnosis_report(diagnosed.diagnosis, diagnosed.simulated, steps, recorded)
 
@@ -168,7 +168,7 @@ def _answer_run(
 ) -> dict[str, Any]:
     """Result and page of all motions of a run, written into its folder; `paths` are the logs before the `rounds`."""
     logs = [*paths, *(rounds.logs if rounds else ())]
-    diagnosed = rounds.last if rounds else find(job.recipe.robot, logs, question, job.console)
+    diagnosed = rounds.last if rounds else run_diagnosis(job.recipe.robot, logs, question, job.console)
     diagnosed = replace(diagnosed, simulator=simulator)
     shown = [*logs, *([rounds.uncounted] if rounds and rounds.uncounted else [])]
     page = job.run.file("report.html")

@@ -34,7 +34,7 @@ class DiagnosisRun:
         return self.diagnosis.result
 
 
-def find(
+def run_diagnosis(
     robot: RobotDescription | None, paths: Sequence[Path], question: GapQuestion, console: Console
 ) -> DiagnosisRun:
     """Read logs and model, check that they fit together, diagnose and simulate."""

@@ -9,7 +9,7 @@ from textwrap import fill, wrap
 from typing import Any
 
 from agent.core import counted, plus_minus
-from agent.diagnosis import forward_lines, reported_parameters, size_text, torque_gap
+from agent.diagnosis import forward_lines, has_torque_gap, reported_parameters, size_text
 from agent.pages import RATIO_TITLES, SUMMARY_KEYS, chances_text, next_text, place, summary, verdict_name
 from agent.robot import SHARE, figure_text
 
@@ -39,7 +39,7 @@ def diagnosis_text(result: dict[str, Any]) -> str:
     lines.append(f"{of} error on held-out motion{unit} (repeatability: between cycles)")
     lines.append(f"{'joint':{width}} {'before':>11} {'after':>11} {'repeatability':>13} {'share':>7}   mostly in")
     shares = {entry["joint"]: entry for entry in result["where"]}
-    somewhere = torque_gap(result)
+    somewhere = has_torque_gap(result)
     for k, name in enumerate(gap["joints"]):
         before, after, floor = (
             "-" if gap[side] is None else figure_text(gap[side][k], gap["units"][k])
