@@ -103,7 +103,12 @@ def _parsed(top: str | Path, having: str) -> Iterator[tuple[Path, ast.Module]]:
     for path in _modules(top):
         text = path.read_text("utf-8")
         if re.search(having, text):
-            yield path, ast.parse(text)
+            yield path, _tree(path)
+
+
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text("utf-8"))
 
 
 def test_no_import_hides_in_a_string():
@@ -164,9 +169,8 @@ def test_locals_are_called_what_they_are():
     vague = []
     for package in PACKAGES:
         for path in _modules(package):
-            tree = ast.parse(path.read_text("utf-8"))
-            where = path.relative_to(ROOT).as_posix()
-            for scope in ast.walk(tree) if VAGUE & _bound(compile(tree, path, "exec")) else ():
+            where, code = path.relative_to(ROOT).as_posix(), compile(path.read_text("utf-8"), path, "exec")
+            for scope in ast.walk(_tree(path)) if VAGUE & _bound(code) else ():
                 if isinstance(scope, ast.Module | ast.Lambda | ast.FunctionDef | ast.AsyncFunctionDef):
                     names = dict(_locals(scope))
                     names.pop("left" if "right" in names else "", None)

@@ -157,8 +157,9 @@ def test_foreign_files_in_the_lock_folder_block_no_run(robot, tmp_path, made: st
         other.rmdir() if made == "folder" else other.unlink()
 
 
-def test_at_most_one_of_two_simultaneous_runs_gets_the_lock(robot):
-    for _ in range(20):
+@pytest.mark.parametrize("times", [5, pytest.param(100, marks=pytest.mark.verify)])
+def test_at_most_one_of_three_simultaneous_runs_gets_the_lock(robot, times):
+    for _ in range(times):
         read, write = os.pipe()
         children = []
         for _ in range(3):

@@ -198,6 +198,7 @@ def test_draws_the_second_world_and_keeps_the_truth_in_the_key(family):
         assert not any(str(secret).encode() in written for secret in secrets if len(str(secret)) > 7)
 
 
+@pytest.mark.verify
 def test_the_key_draws_the_family_again_bit_by_bit(family, tmp_path: Path):
     folder, key = family
     assert export_runs(SecondWorld(0.4), tmp_path / "out", folder / "key.json", 3) == key

@@ -135,7 +135,7 @@ DOWN = r"gravity in the base frame looks like \(0, 0, -9.807\)"
     ("robot", "logs"),
     [
         ("kr300/robot_none.yaml", ("A", "B")),
-        ("tiago/robot.yaml", ("held",)),
+        pytest.param("tiago/robot.yaml", ("held",), marks=pytest.mark.verify),
         ("bam_xl330/robot.yaml", ("kp400_sin_sin", "kp400_up_and_down")),
     ],
     ids=["kr300", "tiago", "pendulum"],
@@ -247,7 +247,9 @@ def test_other_motions_do_not_clear_an_evident_mistake(healthy):
     ("robot", "names", "short"),
     [
         pytest.param("gap-dev/robot.yaml", ("baseline/excite", "baseline/moves"), True, marks=pytest.mark.verify),
-        ("gap-dev/robot.yaml", ("case_03/logs/excite", "case_03/logs/moves"), False),
+        pytest.param(
+            "gap-dev/robot.yaml", ("case_03/logs/excite", "case_03/logs/moves"), False, marks=pytest.mark.verify
+        ),
         pytest.param(
             "gap-dev/robot.yaml", ("case_04/logs/excite", "case_04/logs/moves"), False, marks=pytest.mark.verify
         ),

@@ -115,7 +115,8 @@ def test_a_run_without_a_gap_reports_no_held_sensor(robot, model):
     assert not _said(found)
 
 
-def test_reports_a_held_torque_on_a_real_arm(shared_data):
+@pytest.mark.parametrize("joint", [1, pytest.param(5, marks=pytest.mark.verify)])
+def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
     """KR300, free motion: the torque of one joint is held for 0.2 to 0.8 s now and then; as recorded it is not."""
     folder = shared_data / "real-dev/kr300"
     arm = load_robot(folder / "robot_real.yaml")
@@ -124,14 +125,13 @@ def test_reports_a_held_torque_on_a_real_arm(shared_data):
     )
     log = read_log(folder / "C.mcap", arm)
     assert not _said(diagnose(arm, [log], given))
-    for joint in (1, 5):
-        rng, moment, effort = np.random.default_rng(joint), 0.0, log.effort.copy()
-        while (moment := moment + rng.exponential(2.0)) < log.t[-1]:
-            first, last = np.searchsorted(log.t, [moment, moment + rng.uniform(0.2, 0.8)])
-            effort[first:last, joint] = effort[first, joint]
-        found = diagnose(arm, [replace(log, effort=effort)], given)
-        assert found.document.verdict == "unknown"
-        assert _said(found)[0].startswith(f"the torque of {arm.joint_names[joint]} stands still")
+    rng, moment, effort = np.random.default_rng(joint), 0.0, log.effort.copy()
+    while (moment := moment + rng.exponential(2.0)) < log.t[-1]:
+        first, last = np.searchsorted(log.t, [moment, moment + rng.uniform(0.2, 0.8)])
+        effort[first:last, joint] = effort[first, joint]
+    found = diagnose(arm, [replace(log, effort=effort)], given)
+    assert found.document.verdict == "unknown"
+    assert _said(found)[0].startswith(f"the torque of {arm.joint_names[joint]} stands still")
 
 
 def test_a_constant_torque_is_tolerated_if_no_joint_has_a_gap(robot, model):

@@ -16,7 +16,7 @@ from agent.recording import HOLD, Log, write_log
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, load_simulator, write_corrected
 
 mujoco = pytest.importorskip("mujoco")
-RATE, SECONDS, STEP = 50.0, 6.0, 0.002
+RATE, STEP = 50.0, 0.002
 ARM = """<mujoco model="hobby"><option timestep="0.002" integrator="implicitfast"/>
   <default><joint armature="0.03" damping="0.3" frictionloss="0.05"/>
     <position kp="20" kv="0.5" forcerange="-3 3"/></default>
@@ -39,6 +39,7 @@ def recorded(
     impedance: float = 0.9,
     nearest: float = np.inf,
     bend: float = 0.0,
+    seconds: float = 4.0,
 ) -> Log:
     """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos.
 
@@ -51,7 +52,7 @@ def recorded(
     model.dof_dampingpoly[:, 0] = bend
     model.actuator_gainprm[joints, 0] *= gain
     model.actuator_biasprm[joints, 1] *= gain
-    data, t = mujoco.MjData(model), np.arange(int(SECONDS * RATE)) / RATE
+    data, t = mujoco.MjData(model), np.arange(int(seconds * RATE)) / RATE
     parts = ((0.5, 1.1), (0.25, 2.7), (0.08, 6.1))
     asked = np.floor(t / rest) * rest if rest else t
     r = sum(a * np.sin(np.outer(asked, w * np.array([1, 1.2])) + phase * w + [0, 1]) for a, w in parts)
@@ -103,6 +104,8 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
     out = tmp_path / "fixed.xml"
     write_corrected(simulator, corrected_numbers(found, simulator), out)
     assert error_of(out, recorded(source, 3, late=0.06, gain=0.7)) < 2e-3
+    assert not any("lets a stationary joint creep" in warning for warning in found.warnings)
+    assert (mujoco.MjModel.from_xml_path(str(out)).dof_solimp[:, 0] < 0.999).all(), "friction is as soft as the file's"
 
 
 def error_of(path: Path, log: Log) -> float:
@@ -114,7 +117,8 @@ def error_of(path: Path, log: Log) -> float:
     return float(np.sqrt(np.mean((motion.at(log.t) - log.position) ** 2)))
 
 
-@pytest.mark.parametrize("axis", ["0 1 0", "0 0 1"])  # no weight tells the gain of an upright axis
+# no weight tells the gain of an upright axis
+@pytest.mark.parametrize("axis", ["0 1 0", pytest.param("0 0 1", marks=pytest.mark.verify)])
 def test_servos_fifty_times_too_stiff_are_corrected(tmp_path, axis):
     true, stiff = tmp_path / "true.xml", tmp_path / "stiff.xml"
     true.write_text(ARM.replace('"lift" axis="0 1 0"', f'"lift" axis="{axis}"'), encoding="utf-8")
@@ -259,9 +263,9 @@ def test_a_smooth_command_is_smooth_between_its_frames_and_keeps_to_a_step():
     assert step.max() <= 1
 
 
-@pytest.mark.parametrize("holds", [False, True])
+@pytest.mark.parametrize("holds", [pytest.param(False, marks=pytest.mark.verify), True])
 def test_friction_holds_a_stationary_joint_where_the_arm_does(source, tmp_path, holds):
-    logs = [recorded(source, k, rest=2.0, impedance=0.9999 if holds else 0.9) for k in (1, 2)]
+    logs = [recorded(source, k, rest=2.0, impedance=0.9999 if holds else 0.9, seconds=6.0) for k in (1, 2)]
     simulator, found = found_in(source, logs)
     assert found.verdict == "no_gap"
     assert any("lets a stationary joint creep" in warning for warning in found.warnings) is holds
@@ -273,7 +277,7 @@ def test_friction_holds_a_stationary_joint_where_the_arm_does(source, tmp_path, 
 def test_a_simulation_in_steps_moves_as_an_arm_that_has_none(source, tmp_path):
     one_joint = ARM[: ARM.index('<body name="fore"')] + "</body></worldbody>"
     one_joint += '<actuator><position joint="lift"/></actuator></mujoco>'
-    log = recorded(source, 1)
+    log = recorded(source, 1, seconds=6.0)
     for number, text in enumerate((ARM, one_joint)):
         moved = []
         for step in ("0.002", "0.0001"):
@@ -295,7 +299,7 @@ def test_a_simulation_in_steps_moves_as_an_arm_that_has_none(source, tmp_path):
 
 
 def test_commands_that_a_recorder_cut_are_said_and_are_no_fault(source):
-    logs = [recorded(source, k, late=0.02, rest=2.0, nearest=0.1) for k in (1, 2)]
+    logs = [recorded(source, k, late=0.02, rest=2.0, nearest=0.1, seconds=6.0) for k in (1, 2)]
     found = found_in(source, logs)[1]
     assert any("cut to within 0.1 " in warning for warning in found.warnings)
     assert {cause["effect"] for cause in found.result["causes"]} <= {"time_delay"}

@@ -88,6 +88,29 @@ def calibrated(controller: Any, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return folder
 
 
+@pytest.fixture(scope="session")
+def recalibrated(calibrated: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, str]:
+    """That folder after a recalibration of friction, the run's folder, and what was said. Not to be changed.
+
+    A second accepted calibration of the loop, a second later, was not made current.
+    """
+    folder = tmp_path_factory.mktemp("recalibrated") / "shop"
+    shutil.copytree(calibrated, folder, symlinks=True)
+    (first,) = runs_with_state(folder)
+    later = first.with_name(f"{first.name}_2")
+    shutil.copytree(first, later)
+    started = datetime.fromisoformat(json.loads((first / "state.json").read_text(encoding="utf-8"))["started"])
+    edit(later / "state.json", started=(started + timedelta(seconds=1)).isoformat())
+    run = agent(folder, "recalibrate", "recipe.yaml")
+    assert run.returncode == 0, run.stderr
+    return folder, folder / run.stdout.strip(), run.stderr
+
+
+def runs_with_state(shop: Path) -> list[Path]:
+    """The folders of runs in a shop, by name."""
+    return sorted(path for path in (shop / "logs").iterdir() if (path / "state.json").exists())
+
+
 @pytest.fixture
 def shop(calibrated: Path, tmp_path: Path) -> Path:
     """A copy of that folder for one test."""

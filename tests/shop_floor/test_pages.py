@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from agent.cli.app import app
 from agent.core import Console, InputError
 from agent.pipeline import compare_runs, write_index
+from tests.shop_floor.conftest import agent
 
 FOREIGN = re.compile(r"""(?:src|href|action|data)\s*=\s*["'](?!data:|#)([^"']+)|url\(\s*["']?(?!#|data:)([^"')]+)""")
 
@@ -97,10 +98,9 @@ def test_every_plot_and_table_offers_its_data(calibrated: Path):
         assert rows
 
 
-def test_the_page_of_a_recalibration(shop: Path, run_agent, browse):
-    run = run_agent("recalibrate", "recipe.yaml", "-q")
-    assert run.returncode == 0, run.stderr
-    page = shop / run.stdout.strip() / "report.html"
+def test_the_page_of_a_recalibration(recalibrated, browse):
+    shop, run, _ = recalibrated
+    page = run / "report.html"
     text = _check_file(page)
     assert ", ".join(_titles(text)) == (
         "Prediction, Diagnosis, Motion, Search, Against the last accepted run, Residuals, "
@@ -111,11 +111,12 @@ def test_the_page_of_a_recalibration(shop: Path, run_agent, browse):
     assert "parameters moved by more than their uncertainty" in text
     _check_shown(browse, page)
     before = text
-    again = run_agent("report", run.stdout.strip())
+    again = agent(shop, "report", run.name)
     assert again.returncode == 0, again.stderr
     assert page.read_text(encoding="utf-8") == before, "made again from its files, it is the same page"
 
 
+@pytest.mark.verify
 def test_the_page_of_a_changed_machine_opens_with_the_diagnosis(worn: Path, run_agent, browse):
     run = run_agent("calibrate", "recipe.yaml", "-q")
     assert run.returncode == 0, run.stderr
@@ -183,7 +184,7 @@ def test_the_index_page_without_trends(write_runs, browse):
     assert browse(page)[:2] == ([], [])
 
 
-def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: Path, run_agent):
+def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: Path, run_agent, browse):
     run = run_agent("recalibrate", "recipe.yaml")
     assert run.returncode == 0, run.stderr
     folder = worn / run.stdout.strip()
@@ -197,6 +198,7 @@ def test_a_diagnosis_opens_the_report_when_the_last_model_predicts_worse(worn: P
     head = page.split("</header>")[0]
     assert "(friction_change)" in head
     assert "joint_2, most likely" in head
+    _check_shown(browse, folder / "report.html")
     compared = json.loads(run_agent("compare", result["reference"], folder.name, "--json").stdout)
     assert next(entry["name"] for entry in compared["parameters"] if entry["moved"]) == "f0_2"
 

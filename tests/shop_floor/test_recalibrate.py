@@ -6,20 +6,15 @@ import re
 import shutil
 import subprocess
 import sys
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agent.model import IdentifiedModel
-from tests.shop_floor.conftest import agent, authorisation
+from tests.shop_floor.conftest import agent, authorisation, runs_with_state
 
 ADDRESS = r'address: "[^"]*"'
-
-
-def _runs(shop: Path) -> list[Path]:
-    return sorted(path for path in (shop / "logs").iterdir() if (path / "state.json").exists())
 
 
 def _change_recipe(shop: Path, old: str, new: str) -> None:
@@ -31,31 +26,19 @@ def _current(shop: Path) -> Path:
     return shop / "logs" / "models" / "comau_ns16_FAKE-0007" / "current" / "model.json"
 
 
-def _accepted_again(run: Path) -> Path:
-    """A second accepted calibration of the same loop a second later, which is not made current."""
-    copy = run.with_name(f"{run.name}_2")
-    shutil.copytree(run, copy)
-    state = json.loads((run / "state.json").read_text(encoding="utf-8"))
-    started = datetime.fromisoformat(state["started"]) + timedelta(seconds=1)
-    (copy / "state.json").write_text(json.dumps(state | {"started": started.isoformat()}), encoding="utf-8")
-    return copy
-
-
-def test_reruns_the_stored_loop_and_makes_the_accepted_model_current(shop, run_agent):
-    (first,) = _runs(shop)
-    assert _current(shop).read_bytes() == (first / "model.json").read_bytes(), "the first accepted one is current"
-    later = _accepted_again(first)
-    run = run_agent("recalibrate", "recipe.yaml")
-    assert run.returncode == 0, run.stderr
-    assert "search" not in run.stderr
-    folder = shop / run.stdout.strip()
+def test_reruns_the_stored_loop_and_makes_the_accepted_model_current(calibrated, recalibrated):
+    (first,) = runs_with_state(calibrated)
+    assert _current(calibrated).read_bytes() == (first / "model.json").read_bytes(), "the first accepted one is current"
+    shop, folder, said = recalibrated
+    first, later = shop / "logs" / first.name, shop / "logs" / f"{first.name}_2"
+    assert "search" not in said
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     assert result["accepted"]
     assert result["reference"] == first.name, "what it was compared with: the current model, not the newest run"
     assert json.loads((folder / "state.json").read_text(encoding="utf-8"))["reference"] == first.name
     assert json.loads((folder / "comparison.json").read_text(encoding="utf-8"))["before"] == first.name
     assert result["current_model"] == folder.name
-    assert "current model       this run" in run.stderr
+    assert "current model       this run" in said
     assert result["diagnosis"] is None
     assert max(result["validation"]["normalised_rmse"]) < 0.01
     assert (folder / "program.pdl").read_bytes() == (first / "program.pdl").read_bytes()
@@ -70,13 +53,13 @@ def test_reruns_the_stored_loop_and_makes_the_accepted_model_current(shop, run_a
     )
     assert _current(shop).read_bytes() == (folder / "model.json").read_bytes()
 
-    listed = json.loads(run_agent("history", "--json").stdout)["runs"]
+    listed = json.loads(agent(shop, "history", "--json").stdout)["runs"]
     assert [(entry["run"], entry["kind"], entry["current"]) for entry in listed] == [
         (first.name, "calibrate", False),
         (later.name, "calibrate", False),
         (folder.name, "recalibrate", True),
     ]
-    compared = json.loads(run_agent("compare", first.name, folder.name, "--json").stdout)
+    compared = json.loads(agent(shop, "compare", first.name, folder.name, "--json").stdout)
     assert not any(entry["moved"] for entry in compared["parameters"]), "nothing was done to the machine"
     assert max(compared["torque"]["normalised_rmse"]) < 0.005
 
@@ -88,7 +71,7 @@ def test_skips_a_recent_calibration_with_a_reason_and_opens_no_port(shop, run_ag
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith("skipped: the last accepted run")
     assert "due in 7.0 d" in run.stdout
-    assert len(_runs(shop)) == 1, "a skipped one leaves no folder"
+    assert len(runs_with_state(shop)) == 1, "a skipped one leaves no folder"
 
 
 def test_without_a_calibration_the_message_says_what_to_do(tmp_path, shop, run_agent):
@@ -113,7 +96,9 @@ def test_a_missed_gate_keeps_the_current_model(shop, run_agent):
     assert not result["accepted"]
     assert "the gate is 0.01 %" in result["reason"]
     assert _current(shop).read_bytes() == before
-    assert run_agent("apply", _runs(shop)[-1].name).returncode == 2, "a rejected model is not applied by hand either"
+    assert run_agent("apply", runs_with_state(shop)[-1].name).returncode == 2, (
+        "a rejected model is not applied by hand either"
+    )
 
 
 def test_impossible_torque_makes_no_model(shop, run_agent, tmp_path, start_controller):
@@ -128,7 +113,7 @@ def test_impossible_torque_makes_no_model(shop, run_agent, tmp_path, start_contr
     run = run_agent("recalibrate", "recipe.yaml", "--yes")
     assert run.returncode == 3, run.stderr
     assert "excitation.mcap: torques look like N·mm" in run.stderr
-    assert not (_runs(shop)[-1] / "model.json").exists()
+    assert not (runs_with_state(shop)[-1] / "model.json").exists()
     assert _current(shop).read_bytes() == before
 
 
@@ -168,7 +153,7 @@ def test_a_busy_robot_exits_with_75(shop, run_agent, controller):
     run = run_agent("recalibrate", "recipe.yaml")
     holder.communicate("")
     assert run.returncode == 75
-    assert len(_runs(shop)) == 1
+    assert len(runs_with_state(shop)) == 1
 
 
 @pytest.fixture(scope="module")
@@ -186,7 +171,7 @@ def test_a_matching_authorisation_allows_the_motion(estimated_again):
 
 
 def test_estimates_all_parameters_again_on_request(estimated_again):
-    before, after = (IdentifiedModel.load(path / "model.json") for path in _runs(estimated_again[0]))
+    before, after = (IdentifiedModel.load(path / "model.json") for path in runs_with_state(estimated_again[0]))
     assert before.names == after.names, "the structure is kept, so that runs can be compared"
     assert not np.array_equal(before.base_values, after.base_values)
 
@@ -206,7 +191,7 @@ def test_an_authorisation_for_something_else_prevents_motion(shop, run_agent, ch
     run = run_agent("recalibrate", "recipe.yaml", "--authorisation", path)
     assert run.returncode == 2
     assert why in run.stderr
-    assert not (_runs(shop)[-1] / "excitation.mcap").exists()
+    assert not (runs_with_state(shop)[-1] / "excitation.mcap").exists()
 
 
 @pytest.mark.verify
@@ -224,7 +209,7 @@ def test_authorised_new_motions_settle_an_open_question(shop, run_agent, tmp_pat
     run = run_agent("recalibrate", "recipe.yaml", "--authorisation", released, "--json")
     found = json.loads(run.stdout)["diagnosis"]["result"]
     assert found["rounds_end"]
-    folder = _runs(shop)[-1]
+    folder = runs_with_state(shop)[-1]
     for number, one in enumerate(found["rounds"], start=1):
         assert one["duration_s"] <= 60.0
         assert (folder / f"experiment_{number:02d}.mcap").exists()
