@@ -52,6 +52,7 @@ from .output import (
     flush_results as flush_results,
     open_standard_descriptors as open_standard_descriptors,
     patient_messages as patient_messages,
+    without_secrets as without_secrets,
 )
 from .packages import needed as needed, package_version as package_version
 from .parallel import (

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.core.output import flush_results, patient
-from drivers.texts import hide, hide_all, printable
+from agent.core.output import flush_results, patient, without_secrets
+from drivers.texts import hide, printable
 
 if TYPE_CHECKING:
     from rich.console import Console as RichConsole
@@ -170,7 +170,7 @@ def print_json(data: Any) -> None:
 def fit_to_show(text: str) -> str:
     """A message for a terminal, cut to `LONGEST` characters: without passwords, control characters and lines that
     imitate the agent's own. Names of folders and joints in it come from others."""
-    return _OWN_LINE.sub(" ", printable(hide_all(text), LONGEST, lines=True))
+    return _OWN_LINE.sub(" ", without_secrets(text, LONGEST, lines=True))
 
 
 def finite(data: Any) -> Any:

@@ -14,8 +14,9 @@ from pydantic import BaseModel, ValidationError
 
 from agent.core.errors import InputError
 from agent.core.files import open_regular
+from agent.core.output import without_secrets
 from agent.core.units import kind_of
-from drivers.texts import hide_all, printable
+from drivers.texts import printable
 
 Model = TypeVar("Model", bound=BaseModel)
 #: Lists and mappings within each other; more is no document of ours, and costs a parser seconds.
@@ -272,7 +273,7 @@ def _described(model: type[BaseModel], fault: Any) -> str:
         if got and got not in message:
             message += f" (got {got})"
     key = printable(".".join(str(part) for part in location) or "document", _SHOWN)
-    return f"{key}: {printable(hide_all(message), _SHOWN)}"
+    return f"{key}: {without_secrets(message, _SHOWN)}"
 
 
 def _shown(value: Any) -> str:

@@ -19,7 +19,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from typing import Any, TextIO
 
-from drivers.texts import hide
+from drivers.texts import hide, hide_all, printable
 
 #: Texts that wait for a far end that does not read; further ones are dropped.
 LIMIT = 10_000
@@ -29,6 +29,17 @@ LOOK = 0.2
 PATIENCE = 2.0
 _PIECE = 1024  # bytes of a write: a slow line shows that it goes on
 _GONE = (errno.EPIPE, errno.EIO, errno.EBADF, errno.ENXIO)
+
+
+def without_secrets(text: str, longest: int, lines: bool = False) -> str:
+    """A text of others to be shown: without passwords and control characters, cut to `longest` characters.
+
+    Args:
+        text: whatever a file, a controller or a library says.
+        longest: characters that are kept.
+        lines: whether it may have several lines.
+    """
+    return printable(hide_all(text), longest, lines=lines)
 
 
 class PatientStream(io.TextIOBase):

@@ -1,4 +1,6 @@
-"""The numbers behind a diagnosis, as data: value, unit, meaning and source.
+"""What a verdict promises and how its rows are made, as data: value, unit, meaning and source of each number.
+
+The numbers of the evidence are in `agent.diagnosis.hypotheses.law`; docs/measured/numbers.md lists all.
 
 A source is `derived` (a formula gives the number), the definition of the verdict, `chosen` (what somebody at the
 machine would call small, or what a motion lasts), `tuned` (on simulated runs), or a publication.

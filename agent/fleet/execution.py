@@ -11,13 +11,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
-from agent.core import BusyError, Console, TaskEngine, counted
+from agent.core import BusyError, Console, TaskEngine, counted, without_secrets
 from agent.fleet.result_file import SCHEMA_NAME, Result, open_result
 from agent.fleet.store import Store
 from agent.fleet.tasks import RunQuestion, SourceTasks, Task, find_tasks
 from agent.fleet.worker import PASSING, TaskRow, run_task
 from agent.runs import robot_lock
-from drivers.texts import hide_all, printable
 
 #: Longest time between two saves of finished rows [s].
 _KEEP = 10.0
@@ -146,8 +145,8 @@ def _row(task: Task, answer: dict[str, Any], inputs: list[dict[str, Any]]) -> di
         **answer,
         "robot": task.robot,
         "run": task.run,
-        "reason": printable(hide_all(answer["reason"]), _LONGEST),
-        "warnings": [printable(hide_all(text), _LONGEST) for text in answer.get("warnings", [])],
+        "reason": without_secrets(answer["reason"], _LONGEST),
+        "warnings": [without_secrets(text, _LONGEST) for text in answer.get("warnings", [])],
         "logs": [file.name for file in task.logs],
         "page": task.page or None,
         "asked": task.question.key,

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import pytest
 
 from agent.recording import read_log
+from drivers.bench import Relay
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults
@@ -18,7 +19,6 @@ from fake_controller.servers import WIRES, open_server
 from fake_controller.ur.cell import UrCell
 from tests.conftest import patience
 from tests.faults.conftest import LONG, ur_program
-from tests.link.conftest import Relay
 from tests.link.test_ur_driver import FakeUr
 
 STRIKES = 0.6  # s of motion before the fault

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from drivers.bench import Relay
 from drivers.wire import tcp
 from tests.conftest import drawn
 from tests.link.cnr_peer import Bench, program
@@ -113,47 +114,6 @@ def peer() -> Iterator[Callable[[Callable[[Peer], None]], str]]:
     for thread in threads:
         thread.join(20)
     assert not failures, failures
-
-
-class Relay:
-    """Stands in the middle of TCP links to a target; `tamper(outward, data)` says what gets through."""
-
-    def __init__(self, target: tuple[str, int], tamper: Callable[[bool, bytes], bytes]) -> None:
-        self.tamper = tamper
-        self.sockets: list[socket.socket] = []  # client and server of each link
-        self._target = target
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def opened(self) -> None:
-        """Another link was opened."""
-
-    def close(self) -> None:
-        for handle in (self._listener, *self.sockets):
-            with contextlib.suppress(OSError):
-                handle.shutdown(socket.SHUT_RDWR)
-            handle.close()
-
-    def _accept(self) -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                server = socket.create_connection(self._target)
-                for one in (client, server):
-                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    self.sockets.append(one)
-                self.opened()
-                threading.Thread(target=self._carry, args=(client, server, True), daemon=True).start()
-                threading.Thread(target=self._carry, args=(server, client, False), daemon=True).start()
-
-    def _carry(self, source: socket.socket, target: socket.socket, outward: bool) -> None:
-        with contextlib.suppress(OSError):
-            while data := source.recv(65536):
-                target.sendall(self.tamper(outward, data))
-        for end in (source, target):
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from drivers.bench import WireRelays
 from drivers.conformance import DriverConformance
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, ProtocolError, RefusedError
 from drivers.registry import create
@@ -14,7 +15,7 @@ from drivers.wire import ur_rtde as rtde
 from fake_controller.build import build_ur_cell
 from fake_controller.ur.server import DASHBOARD, PRIMARY, RTDE, UrServer
 from tests.conftest import free_loopback, patience
-from tests.link.test_conformance import Relays, SocketBench
+from tests.link.test_conformance import EmulatedBench
 from tests.link.ur_peer import UrPeer
 
 HEAD = """def p():
@@ -46,14 +47,14 @@ def driver_for(place, **options):
     return driver
 
 
-class UrBench(SocketBench):
+class UrBench(EmulatedBench):
     joint_names = JOINTS
     short, long, comment = SHORT, LONG, "#"
 
     def __init__(self, undo, peer):
         self.undo, self.controller = undo, peer
         undo.callback(peer.close)
-        self.wire = Relays([(peer.host, port) for port in peer.ports])
+        self.wire = WireRelays([(peer.host, port) for port in peer.ports])
         undo.callback(self.wire.close)
 
     def driver(self):
@@ -66,7 +67,7 @@ class UrBench(SocketBench):
         return driver
 
     def stranger(self):
-        return self._answering(b"", greeting=b"SSH-2.0-OpenSSH_9.6\r\n")
+        return self.answering(b"", greeting=b"SSH-2.0-OpenSSH_9.6\r\n")
 
     def replay(self):
         """The registers first, so that they hold what they held last when the program arrives once more."""
