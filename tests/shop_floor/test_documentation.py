@@ -20,23 +20,41 @@ DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 #: Pages that a reader goes through one after the other in one clone, and what they make.
 STORIES = {
-    ("../README.md", "how-to-diagnosis.md"): ("first/plan.html", "logs/index.html", "diagnosis.html", "model.json"),
-    ("tutorial.md", "how-to-recalibrate.md"): ("plan/plan.html", "logs/index.html", "history.json"),
+    ("../README.md", "tutorial.md", "how-to-recalibrate.md", "how-to-diagnosis.md"): (
+        *("first/plan.html", "plan/plan.html", "logs/index.html", "history.json", "diagnosis.html", "model.json"),
+        "repaired.json",
+    ),
     ("how-to-robot.md", "import.md", "recipe.md"): ("tx40.yaml", "table.mcap"),
 }
 #: Ends the emulator of a page, which the pages after it need.
-END = re.compile(r"^kill %1; wait.*\n", re.M)
+END = re.compile(r"^kill %1; wait\n", re.M)
 
 
 def _blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.M)
 
 
+def _commands(page: Path) -> list[str]:
+    """Commands of a page, each with its further lines; a remark at its end is left out."""
+    lines = "".join(_blocks(page, "sh")).replace("\\\n", "\\\0").splitlines()
+    return [re.sub(r" {2,}# .*", "", line).replace("\0", "\n") for line in lines]
+
+
+def _typed(pages: Sequence[str]) -> str:
+    """What a reader types who does not repeat what an earlier page had him do."""
+    script, typed = "", set[str]()
+    for page in pages:
+        commands = [command for command in _commands(DOCS / page) if command not in typed]
+        typed.update(commands)
+        script += "\n".join([f"echo '== {page}' >&2", *commands, ""])
+    return script
+
+
 def _tell(pages: Sequence[str], folder: Path) -> subprocess.CompletedProcess[str]:
     """Type all commands of these pages into a shell, in a folder that has the recipes."""
     shutil.copytree(ROOT / "recipes", folder / "recipes")
     (folder / "bin").mkdir()
-    script = "\n".join(f"echo '== {page}' >&2\n" + "\n".join(_blocks(DOCS / page, "sh")) for page in pages)
+    script = _typed(pages)
     script = END.sub("", script) + "".join(END.findall(script))
     recipe = folder / "recipes" / "first_look.yaml"
     for port in ("9100", "9101"):
