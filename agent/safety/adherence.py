@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from agent.safety.freshness import CREEPS, FROZEN, StuckPositions
 from agent.safety.planned_program import is_standstill
 from agent.safety.reference_path import ReferencePath
+from agent.safety.stuck_positions import CREEPS, FROZEN, StuckPositions
 
 if TYPE_CHECKING:
     from agent.motion import Trajectory
@@ -109,7 +109,7 @@ class Adherence:
         if len(chains) > 1 and is_standstill(chains[0]):
             chains = chains[1:]
         self._path = ReferencePath.of(chains, self._dynamics, self._margin, robot.max_velocity)
-        self._frozen = StuckPositions(robot.max_velocity, GAP)
+        self._stuck = StuckPositions(robot.max_velocity, GAP)
         self._longest_rest, self._stands_since = longest_rest, np.nan
         self._period = period
         self._began = np.nan
@@ -161,18 +161,18 @@ class Adherence:
             reason = self._judge(time[part], measured[part], None if given is None else given[part])
             if reason is not None:
                 return reason
-        self._frozen.take(blocks)
+        self._stuck.take(blocks)
         return self._stands(measured[-1], None if given is None else given[-1])
 
     def _stands(self, measured: np.ndarray, given: np.ndarray | None) -> str | None:
         """Why an arm that is now at these positions (n,) may not stand, if it seems to stand."""
         at = f"{self._last - self._began:.2f} s into the motion"
-        if (joint := self._frozen.contradiction()) is not None:
+        if (joint := self._stuck.contradiction()) is not None:
             return (
                 f"{at} the speed of {self._robot.joint_names[joint]} says that it moves, its positions do not change: "
                 f"what the controller sends cannot be trusted; {_FAULT}"
             )
-        crept, position, allowed = self._frozen.crept(), given, SET_POINTS
+        crept, position, allowed = self._stuck.crept(), given, SET_POINTS
         if position is None:
             position, allowed = measured, MEASURED
         ways = self._first + np.flatnonzero(self._fits)

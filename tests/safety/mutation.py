@@ -101,10 +101,6 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     },
     "freshness.py": {
         "silent < WAITS": "chooses the words",
-        "len(self._blocks) > 1": "a count",
-        "self._blocks[1].time[0] <= self._blocks[-1].time[-1] - FROZEN": "of times that are numbers",
-        "since >= 0": "an index",
-        "np.max(np.diff(time[since:]), initial=0.0) <= self._gap": "of times that are numbers",
     },
     "planned_program.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
     "reference_path.py": {
@@ -117,6 +113,12 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     },
     "preconditions.py": {
         "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words"
+    },
+    "stuck_positions.py": {
+        "len(self._blocks) > 1": "a count",
+        "self._blocks[1].time[0] <= self._blocks[-1].time[-1] - FROZEN": "of times that are numbers",
+        "since >= 0": "an index",
+        "np.max(np.diff(time[since:]), initial=0.0) <= self._gap": "of times that are numbers",
     },
     "stopping.py": {
         "0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers",
