@@ -209,15 +209,17 @@ def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tu
 
 
 def _closure_on_own(selected: SelectedCauses, gap: HeldOutGap, number: int, without: np.ndarray) -> float | None:
-    """Part of the gap on a cause's joints that is lost if (S', n) [N·m] is left; None where a larger cause has some.
+    """Part of the gap that is lost if (S', n) [N·m] is left, on the joints of a cause that no larger one has.
 
-    That of an effect of the whole arm is its main joint, as most of the arm's gap may be the model's own error; next to
-    a larger cause it has none.
+    Of an effect of the whole arm that is the main one of them, as most of the arm's gap may be the model's own error;
+    next to a larger one there is none. None where nothing is left.
     """
     cause, larger = selected.causes[number], selected.causes[:number]
-    if (larger and not cause.joints) or any(not set(cause.joints).isdisjoint(other.joints) for other in larger):
-        return None
-    return gap.closure_on(cause.joints or (main_joint(selected.fit, gap, cause, without),), without)
+    taken = {joint for other in larger for joint in other.joints or (() if cause.joints else other.blocks)}
+    own = [joint for joint in cause.joints or cause.blocks if joint not in taken]
+    if own and not cause.joints:
+        own = [main_joint(selected.fit, gap, own, without)]
+    return gap.closure_on(own, without) if own else None
 
 
 def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:

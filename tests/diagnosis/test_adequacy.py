@@ -11,6 +11,7 @@ from agent.diagnosis.gap.adequacy import LARGEST_ERROR, closed_alone, exceeds, r
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.verdict import drop_replaceable
 from agent.model import CATALOGUE
@@ -86,7 +87,7 @@ def test_a_joint_errs_by_more_than_the_model_as_given_and_with_its_parameters_mo
     """What two motions teach may be wrong on a third."""
     raw, left = LONG[:, 0] * [before, 1.0], LONG[:, 0] * [after, 1.0]
     raw, left = (rows / rms(rows) * [size, 1.0] for rows, size in ((raw, before), (left, after)))
-    fit = SimpleNamespace(near_rest=np.zeros(left.shape, dtype=bool), sigma=np.ones(left.shape))
+    fit = SimpleNamespace(near_rest=np.zeros(left.shape, dtype=bool), usual_error=LIMITS.usual_error * np.ones(2))
     gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
     assert exceeds(fit, gap) is expected
     assert not exceeds(SimpleNamespace(**{**vars(fit), "near_rest": ~fit.near_rest}), gap), "nothing moves"

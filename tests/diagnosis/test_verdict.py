@@ -116,14 +116,20 @@ def test_a_cause_with_a_size_closes_a_tenth_with_finite_parameters(closure, of_j
 
 
 def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_reports():
-    """Of the whole gap, and of its own joints': that of the whole arm, of its main one where it is the largest."""
+    """Of the whole gap, and of its joints that no larger cause has: of the whole arm, of the main one of them."""
 
     def reported(reference, settings, values):
         return {"of": reference, **settings, **values}
 
     names = (("rise",), ("mass", "moment_x"))
     stribeck, load = (
-        SimpleNamespace(effect=SimpleNamespace(name=name, reported=reported), joints=joints, settings=more, names=own)
+        SimpleNamespace(
+            effect=SimpleNamespace(name=name, reported=reported),
+            joints=joints,
+            blocks=dict.fromkeys(joints or range(3)),
+            settings=more,
+            names=own,
+        )
         for name, joints, more, own in (("stribeck", (2, 0), {"speed": 1}, names[0]), ("payload", (), {}, names[1]))
     )
     fit = SimpleNamespace(reference=7, transient=True, values=[np.array([3.0]), np.array([4.0, 5.0])])
@@ -133,14 +139,22 @@ def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_rep
     rivals = ((("payload", ()), ("dress_pack", (1, 2))), ())
     selected = SimpleNamespace(fit=fit, causes=(stribeck, load), rivals=rivals, probability=(0.8, 0.7))
     equal = EffectPlace("payload", ()), EffectPlace("dress_pack", ("b", "c"))
-    with patch.object(rules, "main_joint", lambda fit, gap, cause, left: 1 if cause is load else None):
+    with patch.object(rules, "main_joint", lambda fit, gap, joints, left: list(joints)[-1]):
         told = causes_of(dataset, selected, gap)  # type: ignore[arg-type]
-        alone = SimpleNamespace(**{**vars(fit), "values": fit.values[1:]})
-        first = SimpleNamespace(fit=alone, causes=(load,), rivals=rivals[1:], probability=(0.7,))
-        assert causes_of(dataset, first, gap)[0].closure_of_joints == ((1,), 1)  # type: ignore[arg-type,comparison-overlap]
+        for causes, own in (
+            ((load, stribeck), [[2], [2, 0]]),
+            ((load, load), [[2], None]),
+            ((stribeck, stribeck), [[2, 0], None]),
+        ):
+            values = [np.ones(len(cause.names)) for cause in causes]
+            again = SimpleNamespace(
+                **{**vars(selected), "causes": causes, "fit": SimpleNamespace(**{**vars(fit), "values": values})}
+            )
+            parts = [cause.closure_of_joints for cause in causes_of(dataset, again, gap)]  # type: ignore[arg-type]
+            assert [part and part[0] for part in parts] == own  # type: ignore[index]
     assert told == (
-        Cause("stribeck", ("c", "a"), 1.5, 0.8, {"of": 7, "speed": 1.0, "rise": 3.0}, equal, ((2, 0), 1)),  # type: ignore[arg-type]
-        Cause("payload", (), 11.5, 0.7, {"of": 7, "mass": 4.0, "moment_x": 5.0}),
+        Cause("stribeck", ("c", "a"), 1.5, 0.8, {"of": 7, "speed": 1.0, "rise": 3.0}, equal, ([2, 0], 1)),  # type: ignore[arg-type]
+        Cause("payload", (), 11.5, 0.7, {"of": 7, "mass": 4.0, "moment_x": 5.0}, (), ([1], 11)),  # type: ignore[arg-type]
     )
 
 

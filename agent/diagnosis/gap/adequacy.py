@@ -6,7 +6,7 @@ errors can, whatever the effect (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy.special import chdtri
@@ -96,7 +96,7 @@ def shortfalls(
     own, sizes = closed_alone(fit, gap, len(causes)), remainder_sizes(fit, gap)
     reasons = []
     for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
-        joint = main_joint(fit, gap, candidate, rows)
+        joint = main_joint(fit, gap, candidate.joints or candidate.blocks, rows)
         trades = fit.given and len(causes) > 1
         if trades and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
             reasons.append("it and another cause cancel each other")
@@ -120,11 +120,10 @@ def closed_alone(fit: Fit, gap: HeldOutGap, count: int) -> float:
     return gap.closure_without(without) or 0.0
 
 
-def main_joint(fit: Fit, gap: HeldOutGap, candidate: Candidate, taken_out: np.ndarray) -> int:
-    """The joint of a cause on which it explains most; `taken_out` (S', n) [N·m] is the error without it."""
-    change = rms(gap.beyond(taken_out)) ** 2 - rms(gap.left) ** 2
-    joints = list(candidate.joints or candidate.blocks)
-    return joints[int(np.argmax(change[joints] / fit.sigma.min(axis=0)[joints] ** 2))]
+def main_joint(fit: Fit, gap: HeldOutGap, joints: Iterable[int], taken_out: np.ndarray) -> int:
+    """The one of some joints on which a cause explains most; `taken_out` (S', n) [N·m] is the error without it."""
+    change, at = rms(gap.beyond(taken_out)) ** 2 - rms(gap.left) ** 2, list(joints)
+    return at[int(np.argmax(change[at] / fit.sigma.min(axis=0)[at] ** 2))]
 
 
 def remainders(dataset: Dataset, gap: HeldOutGap) -> Iterator[Remainder]:
