@@ -1,4 +1,10 @@
 from .calibrate import run_calibration as run_calibration
+from .checked_logs import (
+    check_one_machine as check_one_machine,
+    check_plausible as check_plausible,
+    load_arm as load_arm,
+    read_logs as read_logs,
+)
 from .compare import compare_runs as compare_runs
 from .gap.diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
 from .gap.printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
@@ -12,15 +18,11 @@ from .gap.set_points import plan_of_file as plan_of_file
 from .identify import (
     MAP_OR_PRESET as MAP_OR_PRESET,
     FitQuestion as FitQuestion,
-    check_one_machine as check_one_machine,
-    check_plausible as check_plausible,
     check_structure as check_structure,
     estimate_files as estimate_files,
     fit_files as fit_files,
     fit_logs as fit_logs,
     import_files as import_files,
-    load_arm as load_arm,
-    read_logs as read_logs,
     validate_files as validate_files,
     validation_text as validation_text,
 )

@@ -11,8 +11,8 @@ from agent.estimation import EstimationSettings, estimate
 from agent.link import answering
 from agent.model import IdentifiedModel, judged_condition
 from agent.pages import LogHealth
+from agent.pipeline.checked_logs import check_one_machine, check_run, read_logs
 from agent.pipeline.ending import current_run
-from agent.pipeline.identify import check_one_machine, check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome, validation_logs
 from agent.pipeline.plan import plan_once
 from agent.pipeline.reports import against_last, calibration_page, typical_motion, write_analysis

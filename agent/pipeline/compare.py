@@ -8,7 +8,7 @@ from pathlib import Path
 from agent.core import Console, InputError, write_atomically
 from agent.model import IdentifiedModel
 from agent.pages import comparison_page
-from agent.pipeline.identify import read_logs
+from agent.pipeline.checked_logs import read_logs
 from agent.pipeline.job import EXCITATION
 from agent.runs import check_output
 from agent.validation import Comparison, compare_models, predict_log

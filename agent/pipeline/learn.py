@@ -26,7 +26,7 @@ from agent.motion import (
     robot_digest,
     way_key,
 )
-from agent.pipeline.identify import check_one_machine, read_logs
+from agent.pipeline.checked_logs import check_one_machine, read_logs
 from agent.pipeline.plan import program_text, replan
 from agent.pipeline.rebuilt_report import recipe_of
 from agent.recording import Log

@@ -8,9 +8,9 @@ from typing import Any
 from agent.core import Console, InputError, sha256_file, write_atomically
 from agent.model import IdentifiedModel
 from agent.pages import LogHealth
+from agent.pipeline.checked_logs import read_logs
 from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnose import diagnose_again
-from agent.pipeline.identify import read_logs
 from agent.pipeline.job import EXCITATION, validation_logs
 from agent.pipeline.plan import replan
 from agent.pipeline.reports import calibration_page, recalibration_page

@@ -19,10 +19,10 @@ from agent.excitation import Candidates
 from agent.link import Recording, open_link
 from agent.model import IdentifiedModel
 from agent.motion import Move, Target
+from agent.pipeline.checked_logs import check_run, read_logs
 from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.until_sure import until_sure
-from agent.pipeline.identify import check_run, read_logs
 from agent.pipeline.job import EXCITATION, Job, Outcome
 from agent.pipeline.plan import LoopMotion, loop_problem, program_text
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis

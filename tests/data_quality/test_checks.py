@@ -9,8 +9,9 @@ import pytest
 from agent.core import Console, InputError, RejectedError
 from agent.data_quality import check_quality, fitted_doubts, spoiled
 from agent.estimation import estimate
+from agent.pipeline.checked_logs import check_plausible
 from agent.pipeline.declared_effort import check_torque, with_declared_effort
-from agent.pipeline.identify import FitQuestion, check_plausible, estimate_files, validate_files
+from agent.pipeline.identify import FitQuestion, estimate_files, validate_files
 from agent.recording import read_log, write_log
 from agent.robot import Dynamics, load_robot
 from agent.simulators import load_simulator

@@ -12,7 +12,8 @@ from agent.core import Console, InputError, RejectedError
 from agent.data_quality import QualityFinding, check_quality
 from agent.data_quality.rigid_fit import fit_samples
 from agent.estimation import estimate
-from agent.pipeline.identify import FitQuestion, check_plausible, estimate_files, validate_files
+from agent.pipeline.checked_logs import check_plausible
+from agent.pipeline.identify import FitQuestion, estimate_files, validate_files
 from agent.recording import Log, read_log, write_log
 from agent.robot import load_robot
 from fake_controller.plant import Plant
@@ -374,7 +375,7 @@ def test_logs_that_the_model_predicts_are_not_refused(healthy, monkeypatch):
     robot, log = healthy
     model = estimate(robot, [record(Plant(robot, seed=3), name, seed) for name, seed in (("one", 11), ("two", 12))])
     swapped = QualityFinding("joint_1 and joint_5 look swapped", ("joint_1", "joint_5"))
-    monkeypatch.setattr("agent.pipeline.identify.check_quality", lambda *_: [swapped])
+    monkeypatch.setattr("agent.pipeline.checked_logs.check_quality", lambda *_: [swapped])
     quiet = Console(-1)
     with pytest.raises(RejectedError, match="look swapped"):
         check_plausible(robot, [log], False, quiet)

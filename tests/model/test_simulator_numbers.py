@@ -62,7 +62,7 @@ def test_names_a_joint_that_left_its_range_in_the_file(tmp_path):
 
 
 def test_simulator_and_logged_robot_may_have_different_names(tmp_path, robot, capsys, monkeypatch):
-    monkeypatch.setattr("agent.pipeline.identify.check_quality", lambda *_: [])
+    monkeypatch.setattr("agent.pipeline.checked_logs.check_quality", lambda *_: [])
     log = SimpleNamespace(metadata={"robot": "cell 7"}, name="a.mcap")
     check_plausible(robot, [log], False, Console(-1), described=False)
     assert "cell 7" not in capsys.readouterr().err

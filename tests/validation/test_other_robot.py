@@ -3,7 +3,7 @@
 import pytest
 
 from agent.core import Console, RejectedError
-from agent.pipeline.identify import check_plausible
+from agent.pipeline.checked_logs import check_plausible
 from agent.robot import load_robot
 from agent.validation import is_of_another_robot
 from fake_controller.plant import Plant

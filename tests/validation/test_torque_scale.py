@@ -8,7 +8,7 @@ import pytest
 from agent.core import InputError
 from agent.estimation import estimate
 from agent.model import PAYLOAD
-from agent.pipeline.identify import check_one_machine
+from agent.pipeline.checked_logs import check_one_machine
 from agent.validation import torque_scales
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record

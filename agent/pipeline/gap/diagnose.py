@@ -15,6 +15,7 @@ from agent.diagnosis import Diagnosis, extended_model, simulation_part, supporte
 from agent.experiment import Deadline, NoMotion
 from agent.model import CATALOGUE, payload_of
 from agent.pages import diagnosis_report, in_short, summary
+from agent.pipeline.checked_logs import load_arm
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun, read_at_rest, read_reference, run_diagnosis
 from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
@@ -22,7 +23,6 @@ from agent.pipeline.gap.question import GapQuestion, options_of
 from agent.pipeline.gap.set_points import next_set_points
 from agent.pipeline.gap.simulator import run_forward, write_simulator
 from agent.pipeline.gap.until_sure import Rounds, until_sure
-from agent.pipeline.identify import load_arm
 from agent.pipeline.job import Job, validation_logs
 from agent.pipeline.plan import plan_once
 from agent.recipe import load_recipe
