@@ -255,7 +255,7 @@ def test_other_motions_do_not_clear_an_evident_mistake(healthy):
             "gap-dev/robot.yaml", ("case_04/logs/excite", "case_04/logs/moves"), False, marks=pytest.mark.verify
         ),
         ("real-dev/kr300/robot_real.yaml", ("A", "A_se"), True),
-        ("real-dev/tiago/robot.yaml", ("fit", "held"), True),
+        pytest.param("real-dev/tiago/robot.yaml", ("fit", "held"), True, marks=pytest.mark.verify),
         ("real-dev/bam_xl330/robot.yaml", ("kp100_sin_time_square", "kp100_lift_and_drop", "kp100_sin_sin"), True),
     ],
 )

@@ -111,7 +111,7 @@ def test_a_correction_that_errs_more_than_the_file_is_not_written(nominal, tmp_p
     assert note.startswith("nothing is corrected: on motion that was held out, the corrected file would err more")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")  # a process that comes back to these tests has it still
 def nominal(tmp_path_factory):
     """A URDF that is wrong in friction, rotors and links: model, robot, diagnosis."""
     folder = tmp_path_factory.mktemp("nominal")

@@ -1,6 +1,8 @@
 """Clocks that were wrong, or are: runs dated in the future, zones, daylight saving, a clock set back in a run."""
 
 import os
+import re
+import shutil
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
@@ -120,12 +122,13 @@ def test_trends_leave_out_runs_with_impossible_dates(write_runs):
 def test_a_clock_once_ahead_does_not_disable_recalibration(shop, run_agent):
     (run,) = _runs_of(shop)
     recipe = shop / "recipe.yaml"
-    recipe.write_text(recipe.read_text(encoding="utf-8").replace("every: 1 s", "every: 7 d"), encoding="utf-8")
+    text = re.sub(r'address: "[^"]*"', 'address: "127.0.0.1:1"', recipe.read_text(encoding="utf-8"))
+    recipe.write_text(text.replace("every: 1 s", "every: 7 d"), encoding="utf-8")
     _redate(run, "2041-01-01T00:00:00+00:00")
-    done = run_agent("recalibrate", "recipe.yaml")
-    assert done.returncode == 0, done.stderr
-    assert "dated 2041-01-01" in done.stderr
-    assert len(_runs_of(shop)) == 2
+    begun = run_agent("recalibrate", "recipe.yaml")
+    assert begun.returncode == 4, "it is due, and asks the controller"
+    assert "dated 2041-01-01" in begun.stderr
+    _redate(shutil.copytree(run, run.with_name("another")), datetime.now(UTC).isoformat(timespec="seconds"))
     again = run_agent("recalibrate", "recipe.yaml")
     assert again.stdout.startswith("skipped: the last accepted run"), "the new one counts"
     assert "dated in the future" in run_agent("history").stderr

@@ -55,10 +55,21 @@ def test_offset_and_asymmetric_friction_are_equivalent_without_a_drives_off_reco
 
 
 @pytest.mark.parametrize(
-    ("known", "shown"),
-    [(0.0, OFFSET), pytest.param(20.0, OFFSET, marks=pytest.mark.verify), (20.0, OFFSET + 20.0)],
+    ("known", "shown", "shows"),
+    [
+        (0.0, OFFSET, False),
+        (20.0, OFFSET + 20.0, True),
+        *(
+            pytest.param(*draw, marks=pytest.mark.verify)
+            for draw in (
+                (0.0, OFFSET, True),
+                (20.0, OFFSET, True),
+                (20.0, OFFSET, False),
+                (20.0, OFFSET + 20.0, False),
+            )
+        ),
+    ],
 )
-@pytest.mark.parametrize("shows", [True, False])
 def test_torque_present_with_the_drives_off_is_an_offset_and_absent_is_friction(arm, model, logs, known, shown, shows):
     """With what the model took for one before, or without: that may have been friction."""
     model, logs = known_before(model, logs, known)
