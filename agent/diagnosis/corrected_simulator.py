@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.gap.torque_gap import rms
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.released_numbers import (
     BEND,
@@ -16,11 +17,14 @@ from agent.diagnosis.simulator_file.released_numbers import (
     GAIN,
     LINK,
     LOAD,
+    OFFSET,
     Group,
     drive_groups,
+    gained_load,
     groups_of,
 )
 from agent.diagnosis.simulator_file.reversals import reversals_as_effects
+from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import IdentifiedModel
 from agent.robot import ParameterLayout
 from agent.simulators import Correction, PositionServos, Released, Simulator, correct, with_servos
@@ -29,8 +33,8 @@ from agent.simulators import Correction, PositionServos, Released, Simulator, co
 def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
     """What the simulator's numbers should be, by all logs or by all but one (`without`).
 
-    Rows of positions are linear, and may take a gain of a file that is far off to zero or below. Then all numbers of
-    joints and servos are those of the fit of the free motion, about which the rows are linear.
+    Rows of positions are linear, and the numbers of a file that is far off may move it worse than these say. Then all
+    numbers of joints and servos are those of the fit of the free motion, about which the rows are linear.
 
     Args:
         diagnosis: of logs against the simulator.
@@ -41,7 +45,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     change, fitted = fit.fitted(None if without is None else fit.folds[without])
     b = len(simulator.model.independent)
     servos, groups = diagnosis.dataset.servos, diagnosis.released.groups if diagnosis.released else ()
-    if servos is not None and np.any(servos.gains(change) <= 0):
+    if servos is not None and _moves_worse(diagnosis, change):
         loads = (group for group in groups_of(diagnosis.dataset) if group.kind == LOAD)
         change, groups = servos.about, (*drive_groups(diagnosis.dataset), *loads)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.repeat
@@ -52,7 +56,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
 
     released = Released()
     for group in groups:
-        if group.kind in (GAIN, DELAY, BEND):
+        if group.kind in (GAIN, OFFSET, DELAY, BEND):
             continue
         into = {"friction": released.friction, "rotor inertia": released.rotors}
         into |= dict.fromkeys((LINK, LOAD), released.links)
@@ -81,7 +85,28 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
         held_out_rmse=gap.after * gap.unit,
         weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
     )
-    return _with_servos(replace(correction, model=model), diagnosis, change, groups)
+    of_servos = {
+        names[group.joint]: reason(group.text(names)) for group in reversed(groups) if group.kind in (GAIN, OFFSET)
+    }
+    return _with_servos(replace(correction, model=model), diagnosis, change, groups, of_servos)
+
+
+def _moves_worse(diagnosis: Diagnosis, change: np.ndarray) -> bool:
+    """Whether the chosen numbers move the simulator worse than those of the fit of its motion, next to what a right
+    file leaves; not where effects or links, which that fit does not have, were chosen with them."""
+    released, dataset, servos = diagnosis.released, diagnosis.dataset, diagnosis.dataset.servos
+    assert released is not None
+    assert servos is not None
+    if np.any(servos.gains(change) <= 0):
+        return True
+    if diagnosis.selected.causes or any(group.kind == LINK for group in released.groups):
+        return False
+    kp, damping, armature, friction, delay, offset = servo_numbers(dataset, released.groups, change)
+    possible = [np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay)]
+    least = dataset.fit.sigma.min(axis=0)
+    chosen = np.hypot(servos.free_error(np.stack([*possible, offset]), gained_load(released)), least)
+    fitted = np.hypot(servos.fit_error, least)
+    return bool(np.sqrt(np.mean((chosen / fitted) ** 2)) > LIMITS.alike)
 
 
 def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:
@@ -129,19 +154,25 @@ def _predicted(fit: Fit, model: IdentifiedModel) -> np.ndarray:
 
 
 def _with_servos(
-    correction: Correction, diagnosis: Diagnosis, change: np.ndarray, groups: Sequence[Group]
+    correction: Correction,
+    diagnosis: Diagnosis,
+    change: np.ndarray,
+    groups: Sequence[Group],
+    reasons: Mapping[str, str],
 ) -> Correction:
-    """Gains and delays moved by a `change` (p,); damping below zero comes off the servo's, as both are one number."""
+    """Gains, offsets and delays moved by a `change` (p,); damping below zero comes off the servo's: both are one."""
     data, servos, own = diagnosis.dataset, diagnosis.dataset.servos, correction.given.servos
     if servos is None or not isinstance(own, PositionServos):
         return correction
     n, b = len(servos.kp), len(data.model.independent)
     viscous = correction.given.damping + change[b + 1 : b + 2 * n : 2]
     damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
-    reasons = {
-        correction.given.joint_names[g.joint]: g.text(correction.given.joint_names) for g in groups if g.kind == GAIN
-    }
-    gains = {g.joint for g in groups if g.kind == GAIN}
-    stiffness = np.where(np.isin(np.arange(n), list(gains)), servos.gains(change), servos.kp)
-    delay = np.maximum(own.delay + change[-n:], 0.0)
-    return with_servos(correction, stiffness, damping, delay, servos.simulated, reasons)
+    moves = {kind: np.isin(np.arange(n), [g.joint for g in groups if g.kind == kind]) for kind in (GAIN, OFFSET)}
+    changed = replace(
+        own,
+        stiffness=np.where(moves[GAIN], servos.gains(change), servos.kp),
+        damping=damping,
+        delay=np.maximum(own.delay + change[-n:], 0.0),
+        offset=np.where(moves[OFFSET], servos.offsets(change), own.offset),
+    )
+    return with_servos(correction, changed, servos.simulated, reasons)

@@ -1,6 +1,6 @@
 """A simulator's free motion: MuJoCo runs an MJCF under the recorded set-points, with its own servos.
 
-(I + Iₐ) q̈ + d q̇ + F sgn q̇ + g(q) = clip(kₚ (clip(r(t − τ)) − q) − k_v q̇)
+(I + Iₐ) q̈ + d q̇ + F sgn q̇ + g(q) = clip(kₚ (clip(r(t − τ)) + b − q) − k_v q̇)
 
 The command r acts late by τ, limits of set-point and force after that. A command that is held from frame to frame
 enters every step as its mean over that step, so the motion is a smooth function of τ.
@@ -36,7 +36,7 @@ class ServoNumbers:
     """Numbers of n joints and their servos, (n,) each, on the joint side.
 
     armature [kg·m²], damping [N·m·s/rad] of joint and servo (kv) together, friction [N·m] (Coulomb), kp [N·m/rad],
-    delay [s] from the recorded command to the servo.
+    delay [s] from the recorded command to the servo, offset [rad] b at which the servo stands off its set-point.
     """
 
     armature: np.ndarray
@@ -44,6 +44,7 @@ class ServoNumbers:
     friction: np.ndarray
     kp: np.ndarray
     delay: np.ndarray
+    offset: np.ndarray
 
     @classmethod
     def of(cls, arm: SimulatedArm) -> ServoNumbers:
@@ -55,16 +56,17 @@ class ServoNumbers:
             arm.frictionloss.copy(),
             servos.stiffness.copy(),
             servos.delay.copy(),
+            servos.offset.copy(),
         )
 
     @property
     def table(self) -> np.ndarray:
-        """(5, n) in the order of the fields."""
+        """(6, n) in the order of the fields."""
         return np.stack([getattr(self, each.name) for each in fields(self)])
 
     @classmethod
     def of_table(cls, table: np.ndarray) -> ServoNumbers:
-        """From (5, n) in the order of the fields."""
+        """From (6, n) in the order of the fields."""
         return cls(*np.array(table, dtype=float))
 
 
@@ -295,7 +297,7 @@ class FreeSimulator:
 
     def _servos(self, numbers: ServoNumbers) -> PositionServos:
         kv = np.minimum(self.servos.damping, numbers.damping)
-        return replace(self.servos, stiffness=numbers.kp, damping=kv)
+        return replace(self.servos, stiffness=numbers.kp, damping=kv, offset=numbers.offset)
 
     def _inertia(self, numbers: ServoNumbers, data: Any) -> np.ndarray:
         """(n,) [kg·m²] that each joint moves at the state that `data` began with."""

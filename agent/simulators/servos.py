@@ -1,8 +1,10 @@
 """Position servos of a simulator's file: the torque that they give at set-points and states.
 
 A MuJoCo `position` actuator, or a `general` one with affine bias, has the force f = g u + b₀ + b₁ l + b₂ l̇ on
-l = gear · q. The set-point r of a joint is where it gives no force at standstill, so f = −b₁ gear (r − q) + b₂ gear q̇,
-whatever the unit of its control, clamped to `forcerange`; the joint has gear · f, clamped to `actuatorfrcrange`.
+l = gear · q. A control in the joint's unit (g = −b₁) is its set-point, r = u / gear, and the servo stands off it by
+b₀ / −b₁ gear. A control of another unit has its zero in b₀: there r is where the servo gives no force at standstill. So
+f = −b₁ gear (r + offset − q) + b₂ gear q̇, clamped to `forcerange`; the joint has gear · f, clamped to
+`actuatorfrcrange`.
 """
 
 from __future__ import annotations
@@ -13,16 +15,18 @@ from typing import Any
 
 import numpy as np
 
+_SAME = 1e-6  # numerical: relative, between a gain and kp of one unit
+
 
 @dataclass(frozen=True, eq=False)
 class PositionServos:
-    """τ = clip(k (clip(r) − q) − d q̇) of n joints, arrays (n,), on the joint side.
+    """τ = clip(k (clip(r) + offset − q) − d q̇) of n joints, arrays (n,), on the joint side.
 
     stiffness k [N·m/rad], damping d [N·m·s/rad]; low, high [N·m] the least and largest torque; least, most [rad] of the
     set-points; `control` (n, 2): the control of the file's actuator is control₀ + control₁ r, `gear` (n,) its gear;
     `actuators` and `inputs` (n,) are the indices of actuators and of their controls in the compiled model; `delay` (n,)
     [s] of the actuators, `interpolations` (n,) between its samples (0: none, 1: linear, 2: cubic), `step` [s] of the
-    simulation.
+    simulation, `offset` (n,) [rad] at which a servo stands off its set-point.
     """
 
     stiffness: np.ndarray
@@ -38,11 +42,18 @@ class PositionServos:
     delay: np.ndarray
     interpolations: tuple[int, ...]
     step: float
+    offset: np.ndarray
+
+    @property
+    def in_unit(self) -> np.ndarray:
+        """(n,) bool: controls in the unit of the joint, whose bias is an offset and not the zero of a unit."""
+        return np.asarray(self.control[:, 1] == self.gear)
 
     def torque(self, set_points: np.ndarray, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """(S, n) [N·m] before it is clamped."""
         return np.asarray(
-            self.stiffness * (np.clip(set_points, self.least, self.most) - q) - self.damping * qd, dtype=float
+            self.stiffness * (np.clip(set_points, self.least, self.most) + self.offset - q) - self.damping * qd,
+            dtype=float,
         )
 
     def parameters(self, joint: int) -> tuple[float, list[float]]:
@@ -50,7 +61,8 @@ class PositionServos:
         gear, (first, slope) = self.gear[joint], self.control[joint]
         kp, kv = self.stiffness[joint] / gear**2, self.damping[joint] / gear**2
         gain = kp * gear / slope
-        return float(gain), [float(-gain * first) + 0.0, float(-kp), float(-kv) + 0.0]
+        bias = float(-gain * first + kp * gear * self.offset[joint])
+        return float(gain), [bias + 0.0, float(-kp), float(-kv) + 0.0]
 
     def controls(self, set_points: np.ndarray) -> np.ndarray:
         """(S, n) controls of the file's actuators at set-points (S, n)."""
@@ -61,7 +73,7 @@ def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionS
     """The servos of a compiled model's joints, or a reason for the user why they cannot be used."""
     if np.any(model.body_gravcomp):
         return "it compensates gravity (gravcomp), so that its servos do not carry the weight"
-    numbers, actuators = np.empty((len(joints), 10)), []
+    numbers, actuators = np.empty((len(joints), 11)), []
     for k, joint in enumerate(joints):
         servo = _servo(mujoco, model, int(joint))
         if isinstance(servo, str):
@@ -72,7 +84,7 @@ def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionS
     history = getattr(model, "actuator_history", np.zeros((model.nu, 2)))
     ports = tuple(int(inputs[actuator]) for actuator in actuators)
     stiffness, damping, low, high, least, most = numbers.T[:6]
-    control, gear, delay = numbers[:, 6:8], numbers[:, 8], numbers[:, 9]
+    control, gear, delay, offset = numbers[:, 6:8], *numbers[:, 8:].T
     return PositionServos(
         stiffness,
         damping,
@@ -87,11 +99,12 @@ def position_servos(mujoco: Any, model: Any, joints: Sequence[int]) -> PositionS
         delay,
         tuple(int(history[actuator, 1]) for actuator in actuators),
         float(model.opt.timestep),
+        offset,
     )
 
 
 def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]] | str:
-    """The actuator of one joint, and its numbers of `PositionServos` (9,)."""
+    """The actuator of one joint, and its numbers of `PositionServos` (11,)."""
     name = model.joint(joint).name
     at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
     affine, fixed = int(mujoco.mjtBias.mjBIAS_AFFINE), int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -123,7 +136,9 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
         return f"the actuator of {name} is disabled (actuatorgroupdisable)"
     if gain <= 0 or gear == 0:
         return f"the actuator of {name} has no gain or gear"
-    control = np.array([-b0 / gain, -b1 * gear / gain])
+    in_unit = bool(np.isclose(gain, -b1, rtol=_SAME, atol=0.0))
+    control = np.array([0.0, gear] if in_unit else [-b0 / gain, -b1 * gear / gain])
+    offset = -b0 / (b1 * gear) if in_unit else 0.0
     ranges = [np.array([-np.inf, np.inf])]
     if model.actuator_forcelimited[a]:
         ranges.append(np.sort(gear * model.actuator_forcerange[a]))
@@ -133,7 +148,7 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
     if model.actuator_ctrllimited[a]:
         asked = np.sort((model.actuator_ctrlrange[a] - control[0]) / control[1])
     low, high = max(float(part[0]) for part in ranges), min(float(part[1]) for part in ranges)
-    return a, (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear, delay)
+    return a, (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear, delay, offset)
 
 
 def _of(model: Any, actuator: int) -> int:

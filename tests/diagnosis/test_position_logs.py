@@ -40,11 +40,12 @@ def recorded(
     nearest: float = np.inf,
     bend: float = 0.0,
     seconds: float = 4.0,
+    offset: float = 0.0,
 ) -> Log:
     """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos.
 
     The command moves on after every `rest` [s] and is cut to within `nearest` of the positions; `impedance` is that of
-    friction. Damping d is d + `bend` |v|.
+    friction. Damping d is d + `bend` |v|. The servo of the elbow stands `offset` [rad] off its set-points.
     """
     model = mujoco.MjModel.from_xml_path(str(source))
     model.dof_solimp[:, 0] = impedance
@@ -52,6 +53,7 @@ def recorded(
     model.dof_dampingpoly[:, 0] = bend
     model.actuator_gainprm[joints, 0] *= gain
     model.actuator_biasprm[joints, 1] *= gain
+    model.actuator_biasprm[1, 0] = model.actuator_gainprm[1, 0] * offset
     data, t = mujoco.MjData(model), np.arange(int(seconds * RATE)) / RATE
     parts = ((0.5, 1.1), (0.25, 2.7), (0.08, 6.1))
     asked = np.floor(t / rest) * rest if rest else t
@@ -106,6 +108,40 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
     assert error_of(out, recorded(source, 3, late=0.06, gain=0.7)) < 2e-3
     assert not any("lets a stationary joint creep" in warning for warning in found.warnings)
     assert (mujoco.MjModel.from_xml_path(str(out)).dof_solimp[:, 0] < 0.999).all(), "friction is as soft as the file's"
+
+
+def test_a_servo_that_stands_off_its_set_points_is_found_and_written_as_a_bias(source, tmp_path):
+    logs = [recorded(source, k, late=0.02, offset=0.04) for k in (1, 2)]
+    simulator, found = found_in(source, logs)
+    result = found.result
+    cause = next(cause for cause in result["causes"] if cause["joints"])
+    assert (cause["effect"], cause["joints"]) == ("torque_offset", ["elbow"])
+    assert cause["parameters"]["set_point_offset"] == pytest.approx(0.04, abs=4e-3)
+    assert {"effect": "asymmetric_friction", "joints": ["elbow"]} in cause["equivalent_to"]
+    lift, elbow = result["servo"]["offset"]
+    assert elbow[1] <= 0.04 <= elbow[2]
+    assert lift[1] <= 0 <= lift[2]
+    out, held_out = tmp_path / "fixed.xml", recorded(source, 3, late=0.02, offset=0.04)
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
+    assert error_of(out, held_out) < 2e-3 < 0.1 * error_of(source, held_out)
+    model = mujoco.MjModel.from_xml_path(str(out))
+    assert model.actuator_biasprm[1, 0] / model.actuator_gainprm[1, 0] == pytest.approx(0.04, abs=4e-3)
+    for target in ("mjcf", "newton"):
+        assert (
+            CliRunner().invoke(app, ["export", str(out), "--for", target, "-o", str(tmp_path / target)]).exit_code == 0
+        )
+    again = mujoco.MjModel.from_xml_path(str(next((tmp_path / "mjcf").glob("*.xml"))))
+    assert again.actuator_biasprm[1, :3] == pytest.approx(model.actuator_biasprm[1, :3])
+    assert '"of": " of elbow"' in (tmp_path / "newton" / "left_out.json").read_text(encoding="utf-8")
+    assert "torque_offset" not in (tmp_path / "mjcf" / "left_out.json").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("offset", [-1e-3, 1e-3])
+def test_a_servo_that_hardly_stands_off_its_set_points_is_healthy(source, offset):
+    result = found_in(source, [recorded(source, k, offset=offset) for k in (1, 2)])[1].result
+    assert result["verdict"] == "no_gap"
+    _, elbow = result["servo"]["offset"]
+    assert elbow[1] <= offset <= elbow[2]
 
 
 def error_of(path: Path, log: Log) -> float:
@@ -243,11 +279,11 @@ def test_the_linear_response_is_the_change_of_the_simulated_motion(source, holds
     motion = stretch.run(free, free.numbers)
     line = stretch.linearised(free, free.numbers, motion, NominalModel(simulator.model))
     columns = line.number_columns(free, free.numbers)
-    for place in range(10):
+    for place in range(12):
         table = free.numbers.table.ravel()
         step = 0.01 * max(table[place], 0.02)
         table[place] += step
-        changed = stretch.run(free, ServoNumbers.of_table(table.reshape(5, 2)))
+        changed = stretch.run(free, ServoNumbers.of_table(table.reshape(6, 2)))
         difference = (changed.at(log.t) - motion.at(log.t)) / step
         assert np.corrcoef(difference.ravel(), columns[:, :, place].ravel())[0, 1] > 0.97
 

@@ -12,9 +12,9 @@ from agent.diagnosis.simulator_file.released_numbers import Group, likely_effect
 from agent.diagnosis.verdict import decide_by_position
 
 NAMES = ("lift", "elbow")
-#: Rows of the file's numbers: gain, damping, armature, friction, delay.
-FILE = np.array([[20.0, 20.0], [1.0, 1.0], [0.03, 0.03], [0.05, 0.05], [0.02, 0.02]])
-TORQUE = np.array([[20.0, 20.0], [1.0, 1.0], [0.1, 0.1], [0.2, 0.2], [0.0, 0.0]])
+#: Rows of the file's numbers: gain, damping, armature, friction, delay, offset.
+FILE = np.array([[20.0, 20.0], [1.0, 1.0], [0.03, 0.03], [0.05, 0.05], [0.02, 0.02], [0.01, 0.01]])
+TORQUE = np.array([[20.0, 20.0], [1.0, 1.0], [0.1, 0.1], [0.2, 0.2], [0.0, 0.0], [0.05, 0.05]])
 
 
 def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, **intervals) -> bool:
@@ -52,6 +52,9 @@ def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, 
         ("friction_change", {"friction": (1.03, 2.4)}, False),
         ("friction_change", {"damping": (0.4, 0.6)}, True),
         ("friction_change", {"kp": (1.4, 1.6)}, False),
+        ("torque_offset", {}, False),
+        ("torque_offset", {"offset": (1.2, 1.6)}, True),
+        ("torque_offset", {"offset": (1.04, 1.6)}, False),  # a right file leaves as much
         ("stribeck", {}, True),
         ("payload", {}, True),
     ],

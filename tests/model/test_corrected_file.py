@@ -152,6 +152,17 @@ def test_changes_only_the_edited_bytes_of_an_xml_file(text):
         XmlDocument(text.encode("utf-16"))
 
 
+def test_elements_get_another_name_at_both_ends_and_all_else_stays():
+    text = '<a><!-- <b/> -->\n <b k="1"  l=\'b>\' />\n <b k="2"><b/></b ><bb/></a>'
+    xml = XmlDocument(text.encode())
+    for element in xml.root.findall("b"):
+        element.tag = "general"
+        element.set("m", "3")
+    assert xml.changed().decode() == (
+        '<a><!-- <b/> -->\n <general k="1"  l=\'b>\' m="3" />\n <general k="2" m="3"><b/></general ><bb/></a>'
+    )
+
+
 def test_a_format_that_the_simulator_does_not_have_is_refused(tmp_path):
     from agent.pipeline.gap.simulator import check_simulator_out
 

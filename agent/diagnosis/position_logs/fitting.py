@@ -34,13 +34,14 @@ USUAL_DELAY = 0.1  # s, standard deviation of a delay before the logs
 LOAD_NUMBERS = ("m0", "hx0", "hy0", "hz0")  # mass and first moments of a load at the last link
 _LOAD = len(LOAD_NUMBERS)
 _LIGHTEST = 1e-6  # kg, below which a load has no inertia
+_DELAY, _OFFSET = KINDS.index("delay"), KINDS.index("offset")
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Which of the 5 n numbers, the cut of commands and 4 numbers of a load are free, and which move together.
+    """Which of the 6 n numbers, the cut of commands and 4 numbers of a load are free, and which move together.
 
-    `basis` (5 n + 5, p) of their change, `scale` (5 n + 5,) how far each may usually move.
+    `basis` (6 n + 5, p) of their change, `scale` (6 n + 5,) how far each may usually move.
     """
 
     basis: np.ndarray
@@ -84,7 +85,7 @@ class OutputErrorFit:
 
     @cached_property
     def columns(self) -> list[np.ndarray]:
-        """Per stretch (S', n, 5 n + 1), as `LinearisedMotion.number_columns`."""
+        """Per stretch (S', n, 6 n + 1), as `LinearisedMotion.number_columns`."""
         return [motion.number_columns(self.simulator, self.numbers) for motion in self.motions]
 
     @property
@@ -94,7 +95,7 @@ class OutputErrorFit:
 
 
 def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(5 n + 5,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
+    """(6 n + 5,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
 
     Of a cut it is the widest lag, of a load what would take the strongest joint's torque at full reach.
     """
@@ -108,8 +109,9 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
     torque, speeds, accelerations = (
         np.maximum(np.sqrt(np.mean(np.concatenate(part) ** 2, axis=0)), 1e-6) for part in (lag, speed, acceleration)
     )
-    torque = torque * numbers.kp
-    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, np.full(len(torque), USUAL_DELAY)])
+    offset, torque = torque, torque * numbers.kp
+    delay = np.full(len(torque), USUAL_DELAY)
+    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, delay, offset])
     weight = max(float(np.linalg.norm(reference.robot.gravity)), 1.0)
     mass = float(torque.max()) / weight / reference.reach
     load = mass * np.array([1.0, *[reference.reach] * (_LOAD - 1)])
@@ -174,11 +176,11 @@ def fit_output_error(
     def linearised() -> Iterator[LinearisedMotion]:
         carrying = _loaded(reference, table[-_LOAD:])
         for stretch, motion in zip(_cut(stretches, table), motions, strict=True):
-            yield stretch.linearised(simulator, ServoNumbers.of_table(table[:last].reshape(5, n)), motion, carrying)
+            yield stretch.linearised(simulator, ServoNumbers.of_table(table[:last].reshape(-1, n)), motion, carrying)
 
     cost = cost_of(residuals, x)
     for number in range(_ROUNDS):
-        numbers = ServoNumbers.of_table(table[:last].reshape(5, n))
+        numbers = ServoNumbers.of_table(table[:last].reshape(-1, n))
         matrix, side = np.diag(1 / size**2), -x / size**2
         for line, missing in zip(linearised(), residuals, strict=True):
             columns = _columns(line, line.number_columns(simulator, numbers), table[-_LOAD:], basis)
@@ -203,7 +205,7 @@ def fit_output_error(
         progress(f"output error, round {number + 1}")
         if drop < gained:
             break
-    numbers, lines = ServoNumbers.of_table(table[:last].reshape(5, n)), tuple(linearised())
+    numbers, lines = ServoNumbers.of_table(table[:last].reshape(-1, n)), tuple(linearised())
     carried = load_shape(table[-_LOAD:]) @ table[-_LOAD:]
     at = _cut(stretches, table)
     return OutputErrorFit(simulator, reference, parameters, numbers, at, lines, tuple(residuals), sigma, carried)
@@ -246,13 +248,20 @@ def with_link(model: Model, gained: np.ndarray) -> Model:
 
 
 def _possible(table: np.ndarray, last: int, reach: float) -> np.ndarray:
-    """The numbers and the load next to these that can be: none below zero, no load beyond the arm's reach."""
-    possible = table.copy()
-    possible[: last + 2] = np.maximum(possible[: last + 2], 0.0)
-    possible[last - last // 5 : last] = np.minimum(possible[last - last // 5 : last], LONGEST_DELAY)
+    """The numbers and the load next to these that can be: none below zero but offsets, no load beyond the arm's
+    reach."""
+    possible = np.where(_not_negative(table), np.maximum(table, 0.0), table)
+    kinds = possible[:last].reshape(len(KINDS), -1)
+    kinds[_DELAY] = np.minimum(kinds[_DELAY], LONGEST_DELAY)
     away, most = float(np.linalg.norm(possible[last + 2 :])), reach * possible[last + 1]
     possible[last + 2 :] *= min(1.0, most / away) if away > 0 else 1.0
     return possible
+
+
+def _not_negative(table: np.ndarray) -> np.ndarray:
+    """(6 n + 5,) bool: which numbers cannot be below zero: all but offsets and the moments of a load."""
+    count, which = len(table) - 1 - _LOAD, np.arange(len(table))
+    return np.asarray((which <= count + 1) & (which // (count // len(KINDS)) != _OFFSET))
 
 
 def _left(stretches: Sequence[CommandedStretch], motions: Sequence[FreeMotion]) -> list[np.ndarray]:
@@ -268,7 +277,7 @@ def _bounded_step(
     matrix: np.ndarray, side: np.ndarray, weight: float, basis: np.ndarray, table: np.ndarray
 ) -> np.ndarray:
     """The damped step; numbers and a mass that are zero and would fall stay there."""
-    bounded = np.arange(len(table)) <= len(table) - _LOAD
+    bounded = _not_negative(table)
     free = np.ones(len(matrix), dtype=bool)
     for _ in range(len(matrix)):
         at = np.flatnonzero(free)

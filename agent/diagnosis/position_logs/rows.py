@@ -35,7 +35,7 @@ from agent.diagnosis.rows.folds import folds_of, segments_of
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import IdentifiedModel, NominalModel
 from agent.recording import Log
-from agent.simulators import SimulatedArm, model_of
+from agent.simulators import ServoNumbers, SimulatedArm, model_of
 
 _EXACT = 1e-6  # standard deviation of a number that may not move, over its usual change
 _LEAST = 1e-3  # numerical: of the largest value, usual change of one that is zero
@@ -55,12 +55,14 @@ def assemble_positions(
     fitted = with_link(model_of(at, bare, dict(model.provenance)), found.load)
     fitted = replace(fitted, held_out_rmse=error, residual_rmse=error)
     reference = NominalModel(fitted)
+    scale = usual_scale(reference, found.numbers, found.stretches)
     away = np.concatenate(
         [
             fitted.base_values - model.base_values,
             np.stack([found.numbers.friction - given.friction, found.numbers.damping - given.damping], axis=1).ravel(),
             found.numbers.kp - given.kp,
             np.zeros(1 + n),
+            found.numbers.offset - given.offset,
             found.numbers.delay - given.delay,
         ]
     )
@@ -86,6 +88,7 @@ def assemble_positions(
             given.kp,
             [widest_lag(found.stretches)],
             given.damping,
+            scale[-5 - n : -5],
             np.full(n, USUAL_DELAY),
         ]
     )
@@ -100,7 +103,7 @@ def assemble_positions(
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
-    file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay])
+    file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay, given.offset])
     simulator = found.simulator
     added = simulator.added_inertia(found.numbers)
     lag = widest_lag(found.stretches)
@@ -112,7 +115,11 @@ def assemble_positions(
         away,
         simulator.arm,
         added,
-        load_shape(found.load[: len(LOAD_NUMBERS)]) * usual_scale(reference, found.numbers, found.stretches)[-4:],
+        load_shape(found.load[: len(LOAD_NUMBERS)]) * scale[-4:],
+        scale[-5 - n : -5],
+        tuple(np.flatnonzero(simulator.servos.in_unit).tolist()),
+        lambda table, load: _free_error(found, ServoNumbers.of_table(table), load),
+        found.rmse,
         cut=lag if found.stretches[0].nearest < np.inf else 0.0,
         step=simulator.step,
     )
@@ -121,18 +128,18 @@ def assemble_positions(
 
 def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.ndarray) -> np.ndarray:
     """(S', n, p) change of the positions with each parameter of the model, each kp, the cut of commands, each bend of
-    damping and each delay.
+    damping, each offset and each delay.
 
-    `numbers` (S', n, 5 n + 1) are those of joints and servos (`LinearisedMotion.number_columns`).
+    `numbers` (S', n, 6 n + 1) are those of joints and servos (`LinearisedMotion.number_columns`).
     """
     n = numbers.shape[1]
     base = reference.model.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
     bodies = line.response.of_torque({j: base[:, j] for j in range(n)})
-    kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(5)]
+    kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(6)]
     friction = np.stack([kinds[2], kinds[1]], axis=-1).reshape(*kinds[1].shape[:2], 2 * n)
     bends = [(qd * np.abs(qd))[:, None] for qd in line.signals.qd.T]
     bend = np.concatenate([line.response.of_torque({j: torque}) for j, torque in enumerate(bends)], axis=2)
-    return np.concatenate([bodies, friction, kinds[3], numbers[:, :, 5 * n :], bend, kinds[4]], axis=2)
+    return np.concatenate([bodies, friction, kinds[3], numbers[:, :, 6 * n :], bend, kinds[5], kinds[4]], axis=2)
 
 
 def _as_given(fit: OutputErrorFit) -> np.ndarray:
@@ -142,6 +149,16 @@ def _as_given(fit: OutputErrorFit) -> np.ndarray:
         motion = stretch.run(fit.simulator, fit.simulator.numbers)
         parts.append(stretch.averaged(stretch.position[stretch.judged] if motion is None else missed(stretch, motion)))
     return np.concatenate(parts)
+
+
+def _free_error(fit: OutputErrorFit, numbers: ServoNumbers, load: np.ndarray) -> np.ndarray:
+    """(n,) [rad or m] root mean square error of the free motion with other numbers; infinite where it blows up."""
+    arm = fit.simulator.carrying(load) if load.any() else fit.simulator
+    motions = [stretch.run(arm, numbers) for stretch in fit.stretches]
+    parts = [missed(s, m) for s, m in zip(fit.stretches, motions, strict=True) if m is not None]
+    if len(parts) < len(motions):
+        return np.full(len(numbers.kp), np.inf)
+    return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))
 
 
 def _expected_error(fit: OutputErrorFit) -> np.ndarray:

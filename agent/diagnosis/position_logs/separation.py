@@ -22,7 +22,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
 from agent.diagnosis.position_logs.rows import model_columns
 from agent.diagnosis.rows.candidate import Candidate
-from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, LINK, LOAD, Group, groups_of
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, LINK, LOAD, OFFSET, Group, groups_of
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import CATALOGUE
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, Simulator
@@ -35,6 +35,7 @@ _KINDS = {
     "load": (LOAD,),
     GAIN: (GAIN,),
     DELAY: (DELAY,),
+    OFFSET: (OFFSET,),
 }
 
 
@@ -182,10 +183,11 @@ def _line(
 ) -> tuple[LinearisedMotion, np.ndarray]:
     """The simulated motion of the corrected numbers under set-points, linearised, and its columns of these numbers."""
     assert diagnosis.released is not None
-    kp, damping, armature, friction, delay = servo_numbers(
+    kp, damping, armature, friction, delay, offset = servo_numbers(
         diagnosis.dataset, diagnosis.released.groups, diagnosis.released.moved.fit.change
     )
-    numbers = ServoNumbers(*(np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay)))
+    possible = (np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay))
+    numbers = ServoNumbers.of_table(np.stack([*possible, offset]))
     servos = diagnosis.dataset.servos
     assert servos is not None
     free, begins = (

@@ -124,7 +124,8 @@ def _fitted(
     scale = usual_scale(reference, file, stretches)
     by_equation = numbers_by_equation(reference, file, stretches)
     free = free_of_contacts(free, (file, by_equation), stretches)
-    rough, fine = (Parameters.create(scale, fixed=fixed) for fixed in (("kp",), ("kp",) if known_kp else ()))
+    rough = Parameters.create(scale, fixed=("kp", "offset"))
+    fine = rough if known_kp else Parameters.create(scale, fixed=("offset",))
 
     def fitted(arm: FreeSimulator, start: ServoNumbers = file) -> OutputErrorFit:
         begin = fit_output_error(arm, reference, stretches, file, start, rough, progress, _ROUGH).numbers
@@ -142,7 +143,8 @@ def _fitted(
         cut = [stretch.cut(narrower) for stretch in stretches]
         again = fit_output_error(bare.simulator, reference, cut, file, numbers, fine, progress)
         loaded = _simplest(again, reference, progress, known_kp)
-        if _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
+        cuts = loaded.stretches[0].nearest >= _nearest_cut(stretches)
+        if cuts and _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
             held, nearest = loaded, loaded.stretches[0].nearest
             break
     if len(ways) == 1:
@@ -166,25 +168,33 @@ def _simplest(
 ) -> OutputErrorFit:
     """The fit that what follows is linear about: one with gains, or with a load at the last link and gains as they are.
 
-    Gains, friction and rotors of all joints together imitate a load, and it them. So each is tried by itself, and both
-    at once only where that does better than chance, from the likelier of the two on.
+    Gains, friction and rotors of all joints together imitate a load, and it them. So each is tried by itself. The other
+    one, and an offset of each servo, follow one by one where they do better than chance, what does best first.
     """
     stretches, file = fit.stretches, fit.simulator.numbers
     scale, n = usual_scale(reference, fit.numbers, stretches), len(file.kp)
+    count = {"kp": n, "load": len(LOAD_NUMBERS), "offset": n}
 
-    def fitted(start: OutputErrorFit, numbers: ServoNumbers, fixed: tuple[str, ...]) -> OutputErrorFit:
-        parameters = Parameters.create(scale, fixed, load=True)
+    def fitted(start: OutputErrorFit, numbers: ServoNumbers, free: Sequence[str], **how: float) -> OutputErrorFit:
+        parameters = Parameters.create(scale, [kind for kind in count if kind not in free], load="load" in free)
         return fit_output_error(
-            fit.simulator, reference, stretches, file, numbers, parameters, progress, load=start.load
+            fit.simulator, reference, stretches, file, numbers, parameters, progress, load=start.load, **how
         )
 
-    loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ("kp",))
+    loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ["load"])
     carries = bool(_gains(fit, loaded).sum() > (_by_chance(len(LOAD_NUMBERS)) if known_kp else 0.0))
-    likelier = loaded if carries else fit
-    if known_kp:
-        return likelier
-    both = fitted(likelier, likelier.numbers, ())
-    return both if _gains(likelier, both).sum() > _by_chance(n if carries else len(LOAD_NUMBERS)) else likelier
+    best, free = (loaded, ["load"]) if carries else (fit, ["kp"])
+    further = ["offset"] if known_kp else [kind for kind in count if kind not in free]
+    while further:
+        tried = {kind: fitted(best, best.numbers, [*free, kind], gained=_ROUGH) for kind in further}
+        beyond = {kind: _gains(best, other).sum() - _by_chance(count[kind]) for kind, other in tried.items()}
+        kind = max(further, key=lambda each: float(beyond[each]))
+        if beyond[kind] <= 0:
+            break
+        free = [*free, kind]
+        best = fitted(tried[kind], tried[kind].numbers, free)
+        further.remove(kind)
+    return best
 
 
 def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> float:
@@ -200,8 +210,16 @@ def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[Com
         pairs = zip(cut, motions, strict=True)
         return sum(np.inf if m is None else float(np.sum((missed(s, m) / fit.sigma) ** 2)) for s, m in pairs)
 
-    tried = [np.inf, *(widest_lag(stretches) * _NARROWER ** np.arange(1, _CUTS))]
+    narrower = widest_lag(stretches) * _NARROWER ** np.arange(1, _CUTS)
+    tried = [np.inf, *narrower[narrower >= _nearest_cut(stretches)]]
     return float(tried[int(np.argmin([error(nearest) for nearest in tried]))])
+
+
+def _nearest_cut(stretches: Sequence[CommandedStretch]) -> float:
+    """The nearest cut [rad or m] that is believed: cut commands hold the measured positions, which any stiff servo
+    follows, so that most commands of each joint have to be as they were wanted."""
+    lag = np.concatenate([np.abs(stretch.wanted.set_points - stretch.position) for stretch in stretches])
+    return float(np.quantile(lag, LIMITS.most, axis=0).max())
 
 
 def _gains(fit: OutputErrorFit, other: OutputErrorFit) -> np.ndarray:
@@ -238,7 +256,7 @@ def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -
     if (nearest := fit.stretches[0].nearest) < np.inf:
         said.append(
             f"commands were cut to within {nearest:.3g} rad or m of the positions on their way, as a recorder with "
-            "max_relative_target does; the logs have what was wanted"
+            "max_relative_target does, or servos whose torque ends there; the logs have what was wanted"
         )
     if pairs := fit.simulator.arm.excluded:
         said.append(

@@ -33,6 +33,7 @@ from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.released_numbers import (
     DELAY,
     GAIN,
+    OFFSET,
     ReleasedSimulator,
     release,
     release_all,
@@ -49,7 +50,9 @@ from agent.simulators import SIMULATOR
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
 #: Effects that do not show in motion, or are numbers of servos there.
-_NO_MOTION = tuple(name for name, effect in CATALOGUE.items() if effect.transient or effect.numbers in (GAIN, DELAY))
+_NO_MOTION = tuple(
+    name for name, effect in CATALOGUE.items() if effect.transient or effect.numbers in (GAIN, OFFSET, DELAY)
+)
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
 

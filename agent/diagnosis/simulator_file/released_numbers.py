@@ -27,11 +27,14 @@ from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
+#: Names of effects by the numbers of a file that they change; the built-in ones last.
+_NAMES = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}
+_ZERO = "zero of the joint"
 _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
 #: The remaining gap, as the last step.
 REMAINDER = "remainder"
 #: Kinds of groups of servos.
-GAIN, BEND, DELAY = "servo gain", "bend of damping", "delay of the command"
+GAIN, BEND, OFFSET, DELAY = "servo gain", "bend of damping", "offset of set-points", "delay of the command"
 OWN_PARAMETERS = "the model's own parameters"
 #: Kinds of groups of links: ten numbers of one, or the mass and first moments of a load at the last.
 LINK, LOAD = "link inertia", "load"
@@ -239,7 +242,7 @@ def _loads(dataset: Dataset) -> list[Group]:
 
 
 def _of_servos(dataset: Dataset) -> list[Group]:
-    """The gain of each servo, which may be wrong by any factor, and what the recorder does to commands: delay, cut."""
+    """The gain of each servo, which may be wrong by any factor, its offset, and what the recorder does to commands."""
     if (servos := dataset.servos) is None:
         return []
     n, first = len(servos.kp), len(dataset.model.values)
@@ -251,13 +254,37 @@ def _of_servos(dataset: Dataset) -> list[Group]:
     free = () if servos.kp_known else range(n)
     return [
         *(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free),
+        *_offsets(dataset),
         Group(DELAY, -1, late, np.ones(late.shape[1])),
     ]
 
 
-def drive_groups(dataset: Dataset) -> list[Group]:
-    """Friction, rotor and servo of every joint, the delay, and bends: all groups without links."""
-    return [*(group for group in groups_of(dataset) if not group.moves_links), *damping_bends(dataset)]
+def _offsets(dataset: Dataset, share: float = 1.0) -> list[Group]:
+    """How far each servo stands off its set-points: by up to a `share` of its torque; none where torque is judged.
+
+    A control of a unit of its own has its zero there instead.
+    """
+    if (servos := dataset.servos) is None:
+        return []
+    n, size = len(servos.kp), len(servos.covariance)
+    columns = share * np.eye(size)[size - 2 * n : size - n] * servos.offset[:, None]
+    return [Group(OFFSET, j, columns[j][:, None], share * servos.offset[j : j + 1]) for j in servos.with_offset]
+
+
+def drive_groups(dataset: Dataset, released: Collection[tuple[str, int]] = ()) -> list[Group]:
+    """Friction, rotor and servo of every joint, the delay, and bends: all groups without links.
+
+    Of offsets the usual ones but where they are `released`, by kind and joint: those are as large as the logs say.
+    """
+    groups = [group for group in groups_of(dataset) if not group.moves_links and group.kind != OFFSET]
+    small = [group for group in usual_offsets(dataset) if (group.kind, group.joint) not in released]
+    large = [group for group in _offsets(dataset) if (group.kind, group.joint) in released]
+    return [*groups, *small, *large, *damping_bends(dataset)]
+
+
+def usual_offsets(dataset: Dataset) -> list[Group]:
+    """Offsets that a right file may have: as little of the torque as it misses anyway."""
+    return _offsets(dataset, LIMITS.least_error)
 
 
 def damping_bends(dataset: Dataset) -> list[Group]:
@@ -270,14 +297,16 @@ def damping_bends(dataset: Dataset) -> list[Group]:
     n, size = len(servos.kp), len(servos.covariance)
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
     viscous = [group.scale[-1] / speed[group.joint] for group in groups_of(dataset) if group.kind == "friction"]
-    columns = np.eye(size)[size - 2 * n : size - n] * np.array(viscous)[:, None]
+    columns = np.eye(size)[size - 3 * n : size - 2 * n] * np.array(viscous)[:, None]
     return [Group(BEND, j, columns[j][:, None], np.array(viscous[j : j + 1])) for j in range(n)]
 
 
 def open_numbers(dataset: Dataset) -> list[Group]:
-    """Bends, and the delay where logs of positions leave open how the command was held: a right file may differ."""
+    """Bends and usual offsets, and the delay where logs of positions leave open how the command was held: a right file
+    may differ."""
     late = [group for group in _of_servos(dataset) if group.kind == DELAY]
-    return [*damping_bends(dataset), *(late if dataset.servos is not None and dataset.servos.later else ())]
+    usual = [*damping_bends(dataset), *usual_offsets(dataset)]
+    return [*usual, *(late if dataset.servos is not None and dataset.servos.later else ())]
 
 
 def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
@@ -376,6 +405,12 @@ def _load(released: ReleasedSimulator, group: Group) -> dict[str, float]:
     return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}
 
 
+def gained_load(released: ReleasedSimulator) -> np.ndarray:
+    """(10,) parameters that the last link gains by a load of positions."""
+    loads = [list(_load(released, group).values()) for group in released.groups if group.kind == LOAD]
+    return np.array(loads[0]) if loads else np.zeros(10)
+
+
 def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candidate], gap: HeldOutGap) -> float | None:
     """What a group closes of its own joints' error that all others leave; None where torque is judged."""
     if released.given.servos is None:
@@ -386,11 +421,36 @@ def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candid
     return gap.closure_on(joints, others.out_of_fold(others.transient))
 
 
+def _like_offset(
+    released: ReleasedSimulator, causes: Sequence[Candidate], group: Group, gap: HeldOutGap
+) -> tuple[EffectPlace, ...]:
+    """What a servo that stands off its set-points may be instead: friction that differs by direction, as by
+    definition, and what leaves as little in its stead: another zero of the joint, or a load."""
+    names, joint = released.given.robot.joint_names, group.joint
+    others = [other for other in released.groups if other is not group]
+    zero = CATALOGUE[_NAMES[_ZERO]]
+    loads = [entry for entry in _loads(released.given) if (entry.kind, entry.joint) not in released.parts]
+
+    def as_little(fit: Fit) -> bool:
+        error = rms(gap.beyond(fit.out_of_fold(fit.transient)))[joint]
+        return bool(error <= LIMITS.alike * (gap.after * gap.unit)[joint])
+
+    fit = released_fit(released.given, others)
+    with_zero = fit.with_chosen((*causes, *fit.candidates([(zero, (joint,), {})])))
+    loaded = released_fit(released.given, [*others, *loads]).with_chosen(causes)
+    alike = [EffectPlace(name, (names[joint],)) for name in CATALOGUE[_NAMES[OFFSET]].structurally_equivalent]
+    alike += [EffectPlace(zero.name, (names[joint],))] if as_little(with_zero) else []
+    alike += [EffectPlace(_NAMES["load"], ())] if loads and as_little(loaded) else []
+    return tuple(alike)
+
+
 def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap) -> bool:
     """Whether gains of several servos at once may be a load that all of them carry, as it leaves as little instead."""
     if sum(group.kind == GAIN for group in released.groups) < 2 or released.given.servos is None:
         return False
+    known = released.parts
     pool = [group for group in groups_of(released.given) if group.kind not in (GAIN, LINK)]
+    pool = [group for group in pool if group.kind != OFFSET or (group.kind, group.joint) in known]
     fit = released_fit(released.given, _needed(released.given, pool, causes)).with_chosen(causes)
     error = rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit
     return bool(np.mean(error**2) <= LIMITS.alike * np.mean(gap.after**2))
@@ -461,9 +521,8 @@ def causes_of_numbers(
     model, names = released.given.model, released.given.robot.joint_names
     base, change = len(model.independent), released.moved.fit.change
     probability = LAW.certain * min(gap.closure or 0.0, 1.0)
-    called = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}  # the built-in ones last
     causes = list[Cause]()
-    like_load = (EffectPlace(called["load"], ()),) if _may_be_load(released, selected.causes, gap) else ()
+    like_load = (EffectPlace(_NAMES["load"], ()),) if _may_be_load(released, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
         part = gap.closure_without(_without(released, groups, selected.causes))
@@ -474,26 +533,31 @@ def causes_of_numbers(
     for group in _causing(released, selected.causes, gap, doubted):
         joint = () if group.joint < 0 else (names[group.joint],)
         if load := _load(released, group):
-            like_links = (EffectPlace(called["links"], ()),)
+            like_links = (EffectPlace(_NAMES["links"], ()),)
             own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(called["load"], (), closes(group), probability, load, like_links, own_part))
+            causes.append(Cause(_NAMES["load"], (), closes(group), probability, load, like_links, own_part))
         elif group.kind == "friction":
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
-            equal = (EffectPlace(called[GAIN], joint),) if group.joint in doubtful else ()
+            equal = (EffectPlace(_NAMES[GAIN], joint),) if group.joint in doubtful else ()
             equal = (*equal, *(EffectPlace(name, joint) for name in likely_effects_on(released, selected, group)))
             own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(called["friction"], joint, closes(group), probability, parameters, equal, own_part))
+            causes.append(Cause(_NAMES["friction"], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == GAIN and released.given.servos is not None:
             kp, more = released.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
             parameters = {"scale_error": float(kp / (kp + more) - 1)}
-            equal = (*like_load, *((EffectPlace(called["friction"], joint),) if group.joint in doubtful else ()))
+            equal = (*like_load, *((EffectPlace(_NAMES["friction"], joint),) if group.joint in doubtful else ()))
             own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(called[GAIN], joint, closes(group), probability, parameters, equal, own_part))
+            causes.append(Cause(_NAMES[GAIN], joint, closes(group), probability, parameters, equal, own_part))
+        elif group.kind == OFFSET and released.given.servos is not None:
+            parameters = {"set_point_offset": float(released.given.servos.offsets(change)[group.joint])}
+            alike = _like_offset(released, selected.causes, group, gap)
+            own_part = _on_joint(released, group, selected.causes, gap)
+            causes.append(Cause(_NAMES[OFFSET], joint, closes(group), probability, parameters, alike, own_part))
         elif group.kind == DELAY:
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(
-                Cause(called[DELAY], (), closes(group), probability, {"delay": float(change[-1])}, (), own_part)
+                Cause(_NAMES[DELAY], (), closes(group), probability, {"delay": float(change[-1])}, (), own_part)
             )
         else:
             bodies.append(group)
@@ -504,6 +568,6 @@ def causes_of_numbers(
         )  # what makes most is first
         parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
         last = any(group.kind == LINK and group.joint == released.given.robot.load_link for group in bodies)
-        as_load = (EffectPlace(called["load"], ()),) if last and released.given.servos is not None else ()
-        causes.append(Cause(called["links"], (), closes(*bodies), probability, parameters, as_load))
+        as_load = (EffectPlace(_NAMES["load"], ()),) if last and released.given.servos is not None else ()
+        causes.append(Cause(_NAMES["links"], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))

@@ -16,6 +16,7 @@ from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import (
     DELAY,
     GAIN,
+    OFFSET,
     Group,
     drive_groups,
     released_fit,
@@ -24,11 +25,12 @@ from agent.diagnosis.sizes import jackknife
 from agent.model import CATALOGUE
 
 #: Kinds of numbers, in the order of a result.
-SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s")
+SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s", "offset")
 #: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
-_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay_s",)}
+_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay_s",), OFFSET: ("offset",)}
 _LEAST_GAIN = 1e-9  # numerical: N·m/rad
 _RATIOS = ("damping", "armature", "friction")
+_OF_GAIN, _DELAY = SERVO_NUMBERS[:4], SERVO_NUMBERS.index("delay_s")
 
 
 def doubtful_gains(found: Explanation) -> tuple[int, ...]:
@@ -66,7 +68,7 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
         table[kind] = tuple(
-            None if kind != "delay_s" and k in doubtful else _not_negative(row[k], least[k], most[k])
+            None if kind in _OF_GAIN and k in doubtful else _possible(kind, row[k], least[k], most[k])
             for k in range(len(names))
         )
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
@@ -74,33 +76,35 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     if doubtful:
         ratios = np.stack(_intervals(found, over_gain=True), axis=2)
         told["servo_over_kp"] = {
-            kind: tuple(_not_negative(*row) for row in ratios[SERVO_NUMBERS.index(kind)]) for kind in _RATIOS
+            kind: tuple(_possible(kind, *row) for row in ratios[SERVO_NUMBERS.index(kind)]) for kind in _RATIOS
         }
     return told
 
 
-def _not_negative(value: float, low: float, high: float) -> tuple[float, float, float]:
-    """A number and its interval, of which nothing is below zero."""
-    return max(float(value), 0.0), max(float(low), 0.0), max(float(high), 0.0)
+def _possible(kind: str, value: float, low: float, high: float) -> tuple[float, float, float]:
+    """A number and its interval, of which nothing is below zero but an offset."""
+    least = -np.inf if kind == "offset" else 0.0
+    return max(float(value), least), max(float(low), least), max(float(high), least)
 
 
 def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.ndarray, ...]:
-    """(5, n) value, low and high of the numbers, with all drives free and links that moved.
+    """(6, n) value, low and high of the numbers, with all drives free and links that moved.
 
     The delay's holds both ways in which the command may have been held. Numbers over the gain of their joint are
     x / k ≈ r + (Δx - r Δk) / k about those that the rows are linear about, so that any gain along them is one ratio.
     """
     dataset, fit = explanation.dataset, explanation.selected.fit
     assert dataset.servos is not None
-    drives = [*drive_groups(dataset), *(group for group in explanation.released.groups if group.moves_links)]
+    groups = drive_groups(dataset, explanation.released.parts)
+    drives = [*groups, *(group for group in explanation.released.groups if group.moves_links)]
     about = servo_numbers(dataset, drives, dataset.servos.about)
 
     def form(numbers: np.ndarray) -> np.ndarray:
         if not over_gain:
             return numbers
         ratios, change = _over_gain(about), numbers - about
-        moved = (change[:-1] - ratios[:-1] * change[0]) / np.maximum(about[0], _LEAST_GAIN)
-        return np.concatenate([ratios[:-1] + moved, numbers[-1:]])
+        moved = (change[:4] - ratios[:4] * change[0]) / np.maximum(about[0], _LEAST_GAIN)
+        return np.concatenate([ratios[:4] + moved, numbers[4:]])
 
     values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0])
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
@@ -111,11 +115,11 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.nd
     for folds in (wide.folds, wide.single):
         without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0])) for fold in folds]
         spread = np.maximum(spread, jackknife(np.stack(without)))
-    spread[-1] += 0.5 * dataset.servos.step
+    spread[_DELAY] += 0.5 * dataset.servos.step
     values, free = form(values), form(free)
     low, high = np.minimum(values, free) - spread, np.maximum(values, free) + spread
-    low[-1] += min(dataset.servos.later, 0.0)
-    high[-1] += max(dataset.servos.later, 0.0)
+    low[_DELAY] += min(dataset.servos.later, 0.0)
+    high[_DELAY] += max(dataset.servos.later, 0.0)
     return values, low, high
 
 
@@ -152,12 +156,12 @@ def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]
 
 
 def _over_gain(numbers: np.ndarray) -> np.ndarray:
-    """Numbers (5, n) but the delay over the gain of their joint."""
-    return np.concatenate([numbers[:-1] / np.maximum(numbers[0], _LEAST_GAIN), numbers[-1:]])
+    """Numbers (6, n) but delay and offset over the gain of their joint."""
+    return np.concatenate([numbers[:4] / np.maximum(numbers[0], _LEAST_GAIN), numbers[4:]])
 
 
 def _whole_torque(dataset: Dataset) -> np.ndarray:
-    """(5, n) of each number what would take all of its joint's torque; of a delay nothing."""
+    """(6, n) of each number what would take all of its joint's torque; of a delay nothing."""
     whole = np.zeros((len(SERVO_NUMBERS), dataset.robot.dof))
     for group in drive_groups(dataset):
         if group.kind == "friction":
@@ -166,11 +170,13 @@ def _whole_torque(dataset: Dataset) -> np.ndarray:
             whole[0, group.joint] = group.scale[0]
         elif group.kind == "rotor inertia":
             whole[2, group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
+    assert dataset.servos is not None
+    whole[5] = dataset.servos.offset
     return whole
 
 
 def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
-    """(5, n) in the order of `SERVO_NUMBERS`: those of the file, moved by a change (p,)."""
+    """(6, n) in the order of `SERVO_NUMBERS`: those of the file, moved by a change (p,)."""
     servos, model = dataset.servos, dataset.model
     assert servos is not None
     n, b = len(servos.kp), len(model.independent)
@@ -183,7 +189,8 @@ def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray)
         at += group.directions.shape[1]
     friction = change[b : b + 2 * n]
     first = len(model.values)
-    return servos.file + np.stack([change[first : first + n], friction[1::2], moved, friction[::2], change[-n:]])
+    late, offset = change[-n:], change[-2 * n : -n]
+    return servos.file + np.stack([change[first : first + n], friction[1::2], moved, friction[::2], late, offset])
 
 
 def _deviations(
@@ -193,7 +200,7 @@ def _deviations(
     free: np.ndarray,
     form: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """(5, n) standard deviations of a form of the numbers about `free`, from the covariance (p, p) of the change."""
+    """(6, n) standard deviations of a form of the numbers about `free`, from the covariance (p, p) of the change."""
     p, base = len(covariance), servo_numbers(dataset, groups, np.zeros(len(covariance)))
     slopes = np.stack([(servo_numbers(dataset, groups, column) - base).ravel() for column in np.eye(p)], axis=1)
     of_numbers = slopes @ covariance @ slopes.T

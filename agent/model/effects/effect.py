@@ -101,7 +101,7 @@ class Effect(ABC):
     | `components` | what the parts of one size are called together, and their names |
     | `not_reported` | settings that no page shows |
     | `sizes` | parameters that must be positive |
-    | `numbers` | numbers of a simulator's file that change under its name: friction, links or load |
+    | `numbers` | numbers of a simulator's file that change under its name: friction, links, load, servo gain, … |
     | `scales_report`, `adds_to_report` | parameters by which the reported torque is off: factor − 1, and offset |
     | `stepped` | its form in the file of effects of a corrected simulator (`standalone_effects`); empty: none |
     | `of_servos` | `phrase` and `look_at` where torque is that of position servos |

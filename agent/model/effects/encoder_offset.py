@@ -25,6 +25,7 @@ class EncoderOffset(Effect):
     needs_travel = BENDS
     units = MappingProxyType({"offset": "rad"})
     leading = ("offset",)
+    numbers = "zero of the joint"
     experiment = WHOLE_RANGE
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:

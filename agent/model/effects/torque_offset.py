@@ -29,9 +29,10 @@ class TorqueOffset(Effect):
     experiment = RAMPS_AND_STANDSTILLS
     moves_arm = False
     of_servos = ("its set-points are shifted", "the zero of this servo's set-points against its positions")
-    units = MappingProxyType({"offset": "N·m"})
-    leading = ("offset",)
+    units = MappingProxyType({"offset": "N·m", "set_point_offset": "rad"})
+    leading = ("set_point_offset", "offset")
     adds_to_report = "offset"
+    numbers = "offset of set-points"
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return on_axle(signals.reference, joints[0], np.ones(len(signals.time)))

@@ -35,7 +35,15 @@ def motion_section(diagnosis: Diagnosis, result: Mapping[str, Any]) -> Section |
     numbers = [
         (joint, *(_number(kind, result["servo"][kind][k]) for kind in kinds)) for k, joint in enumerate(gap["joints"])
     ]
-    header = ("joint", "kp [N·m/rad]", "damping with kv", "armature [kg·m²]", "friction [N·m]", "delay [ms]")
+    header = (
+        "joint",
+        "kp [N·m/rad]",
+        "damping with kv",
+        "armature [kg·m²]",
+        "friction [N·m]",
+        "delay [ms]",
+        "offset [mrad or mm]",
+    )
     table = Table("servo-numbers", header, numbers)
     text = [
         "The simulator ran under the recorded command; these are the positions that it reached and that were measured.",
@@ -82,5 +90,5 @@ def _angle(value: float, unit: str) -> str:
 def _number(kind: str, entry: Any) -> str:
     if entry is None:
         return "class only"
-    scale = 1e3 if kind == "delay_s" else 1.0
+    scale = 1e3 if kind in ("delay_s", "offset") else 1.0
     return plus_minus(scale * entry[0], scale * (entry[2] - entry[1]) / 2)

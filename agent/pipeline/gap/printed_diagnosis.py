@@ -13,6 +13,8 @@ from agent.diagnosis import forward_lines, has_torque_gap, reported_parameters, 
 from agent.pages import RATIO_TITLES, SUMMARY_KEYS, chances_text, next_text, place, summary, verdict_name
 from agent.robot import SHARE, figure_text
 
+#: Numbers of servos that are told in thousandths.
+_TITLES = {"delay_s": "delay [ms]", "offset": "offset [mrad]"}
 _WIDEST = 60  # characters of a step of the attribution in a line
 
 
@@ -107,11 +109,11 @@ def _servo_lines(result: dict[str, Any]) -> Iterator[str]:
     yield f"numbers for the simulator, ± 95 %; their scale comes from {scale[result['scale_from']]}"
     names = result["gap"]["joints"]
     width = max(12, *map(len, names))
-    yield f"{'joint':{width}} " + " ".join(f"{kind.replace('_s', ' [ms]'):>16}" for kind in table)
+    yield f"{'joint':{width}} " + " ".join(f"{_TITLES.get(kind, kind):>16}" for kind in table)
     for k, name in enumerate(names):
         cells = []
         for kind, row in table.items():
-            cells.append(_number(row[k], 1e3 if kind == "delay_s" else 1.0))
+            cells.append(_number(row[k], 1e3 if kind in _TITLES else 1.0))
         yield f"{name:{width}} " + " ".join(f"{cell:>16}" for cell in cells)
     if over_kp := result.get("servo_over_kp"):
         yield "over kp: with any kp and these ratios to it, the simulator moves as the arm does"

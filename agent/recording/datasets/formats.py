@@ -174,10 +174,27 @@ def _in_ranges(recorded: Recorded, robot: RobotDescription) -> Recorded:
             f"{recorded.path}: {'; '.join(wider)} (rad or m): further than the range is wide, so its unit is another. "
             "Import it with a map that says unit or scale (agent import --map), or correct the range"
         )
+    if normalised := _normalised(recorded):
+        said = (
+            f"no position or command goes further than 1, and commands of {', '.join(normalised)} end at 1: they "
+            "look normalised to a range, and are taken as rad or m. If they are, import with a map that says the scale "
+            "of each joint (agent import --map)"
+        )
+        recorded = replace(recorded, notes=(*recorded.notes, said))
     if outside:
         said = f"unit, zero or sign may not be those of the model: {'; '.join(outside)} (rad or m)"
         return replace(recorded, notes=(*recorded.notes, said))
     return recorded
+
+
+def _normalised(recorded: Recorded) -> list[str]:
+    """Joints whose commands end at −1 or 1 exactly where nothing goes further, as of a policy's actions."""
+    commands = [each.command for each in recorded.episodes if each.command is not None]
+    largest = np.nanmax(np.abs(np.concatenate([*(each.position for each in recorded.episodes), *commands])))
+    if not commands or largest > 1:
+        return []
+    ends = np.nanmax(np.abs(np.concatenate(commands)), axis=0) == 1
+    return [name for name, end in zip(recorded.joints, ends, strict=True) if end]
 
 
 def _by_place(robot: RobotDescription) -> str:

@@ -27,6 +27,8 @@ from agent.simulators.servos import PositionServos
 
 SCHEMA = "simulator-changes/1"
 _TOLERANCE = 1e-8  # of the largest torque, between what is written and what was meant
+#: What an offset of set-points is called among the changes.
+OFFSET = "offset of set-points"
 _LEAST = 1e-12  # relative, that a number changes
 
 
@@ -126,7 +128,7 @@ def _change(element: str, attribute: str, old: float | list[float], new: float |
 
 
 def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]:
-    """Change gains and delays of servos. Damping given as a ratio is written as a number where masses change."""
+    """Change gains, offsets and delays of servos. A damping ratio is written as a number where masses change."""
     given, released = correction.given.servos, correction.released
     servos = correction.arm.servos
     assert isinstance(given, PositionServos)
@@ -139,6 +141,9 @@ def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]
         edits.set_servo(k, gain, bias)
         if bias[1] != before[1]:
             yield _change(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
+        if servos.offset[k] != given.offset[k]:
+            reason, pair = released.gains[k], (float(given.offset[k]), float(servos.offset[k]))
+            yield _change(f"actuator of {joint}", OFFSET, *pair, reason)
         if servos.delay[k] != given.delay[k]:
             edits.set_delay(k, float(servos.delay[k]), given.step)
             yield _change(

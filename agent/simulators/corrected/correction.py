@@ -129,28 +129,21 @@ def correct(
 
 
 def with_servos(
-    found: Correction,
-    stiffness: np.ndarray,
-    damping: np.ndarray,
-    delay: np.ndarray,
-    simulated: SimulatedArm,
-    reasons: Mapping[str, str],
+    found: Correction, changed: PositionServos, simulated: SimulatedArm, reasons: Mapping[str, str]
 ) -> Correction:
-    """The correction with its servos' stiffness, damping (kv) and delay (n,) changed; `reasons` by kind and joint.
+    """The correction with its servos changed; `reasons` by joint.
 
     Args:
         found: correction without servos.
-        stiffness: (n,) kp [N·m/rad].
-        damping: (n,) kv [N·m·s/rad].
-        delay: (n,) of the command [s].
+        changed: its servos.
         simulated: the arm whose motion was compared: how its friction holds, and which bodies do not collide.
-        reasons: why, by kind and joint.
+        reasons: why, by joint.
     """
     servos, released = found.arm.servos, found.released
     if not isinstance(servos, PositionServos):
         return found
-    changed = replace(servos, stiffness=stiffness, damping=damping, delay=delay)
-    moved = (stiffness != servos.stiffness) | (damping != servos.damping) | (delay != servos.delay)
+    pairs = ((getattr(changed, kind), getattr(servos, kind)) for kind in ("stiffness", "damping", "delay", "offset"))
+    moved = np.any([new != old for new, old in pairs], axis=0)
     for k in np.flatnonzero(moved).tolist():
         released.gains[k] = reasons.get(found.arm.joint_names[k], "delay of the command")
     for k in np.flatnonzero(simulated.impedance != found.arm.impedance).tolist():

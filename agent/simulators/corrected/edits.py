@@ -15,6 +15,7 @@ import numpy as np
 from agent.core import LARGEST_ROBOT_FILE, InputError, read_bytes
 from agent.simulators.arm import SimulatedArm
 from agent.simulators.corrected.xml_document import XmlDocument
+from agent.simulators.servos import PositionServos
 from agent.simulators.urdf import child_of, digits, let_pass, mjcf_inertial, move_zero, rpy_of, set_inertial
 
 _NO_BODY = ("equality", "fixed", "default", "sensor", "actuator", "custom", "tendon")
@@ -208,8 +209,18 @@ class MjcfEdits:
         actuator.set("interp", "linear")
 
     def set_servo(self, k: int, gain: float, bias: list[float]) -> None:
-        """Set gain and bias (b₀, b₁, b₂) of the position actuator of a joint."""
+        """Set gain and bias (b₀, b₁, b₂) of the position actuator of a joint; with an offset it becomes a general one,
+        which has the same defaults and names, but no gains and range of its joint."""
         actuator = self._servo(k)
+        if bias[0] and actuator.tag == "position":
+            actuator.tag, servos = "general", self._arm.servos
+            assert isinstance(servos, PositionServos)
+            limits = servos.gear[k] * np.array([servos.least[k], servos.most[k]])
+            for key in ("kp", "kv", "dampratio", "inheritrange"):
+                actuator.attrib.pop(key, None)
+            actuator.attrib.update(biastype="affine")
+            if np.isfinite(limits).all():
+                actuator.set("ctrlrange", digits(*np.sort(limits)))
         if actuator.tag == "general":
             actuator.attrib.update(gainprm=digits(gain), biasprm=digits(*bias))
             return

@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 
 class XmlDocument:
-    """An XML file; attributes of elements below `root` may be changed, and new children added to them.
+    """An XML file; names and attributes of elements below `root` may be changed, and new children added to them.
 
     Raises:
         ValueError: not well-formed, or of an encoding that is no superset of ASCII.
@@ -23,13 +23,17 @@ class XmlDocument:
             raise ValueError("its encoding has two bytes a character: save it as UTF-8")
         self._text = text
         self._written: list[tuple[Element, int, dict[str, str]]] = []  # start in the text, attributes as written
+        self._ended: dict[int, tuple[int, str]] = {}  # end of an element in the text, name as written
         parser, builder = expat.ParserCreate(), TreeBuilder()
 
         def start(name: str, attributes: dict[str, str]) -> None:
             self._written.append((builder.start(name, dict(attributes)), parser.CurrentByteIndex, attributes))
 
+        def end(name: str) -> None:
+            self._ended[id(builder.end(name))] = parser.CurrentByteIndex, name
+
         parser.StartElementHandler = start
-        parser.EndElementHandler = builder.end
+        parser.EndElementHandler = end
         try:
             parser.Parse(text, True)
         except expat.ExpatError as error:
@@ -44,20 +48,26 @@ class XmlDocument:
     def changed(self) -> bytes:
         """The text with all changes."""
         known = {id(element) for element, _, _ in self._written}
-        parts, at = [], 0
+        edits = []
         for element, start, attributes in self._written:
             new = [child for child in element if id(child) not in known]
-            if new or element.attrib != attributes:
+            end, name = self._ended[id(element)]
+            if new or element.attrib != attributes or element.tag != name:
                 stop = _end_of_tag(self._text, start)
-                parts += [self._text[at:start], self._rewritten(element, attributes, new, start, stop)]
-                at = stop
+                edits.append((start, stop, self._rewritten(element, attributes, new, start, stop)))
+                if element.tag != name and self._text[stop - 2 : stop] != b"/>":
+                    edits.append((end, end + len(name.encode()) + 2, f"</{element.tag}".encode()))
+        parts, at = [], 0
+        for start, stop, text in sorted(edits):
+            parts += [self._text[at:start], text]
+            at = stop
         return b"".join([*parts, self._text[at:]])
 
     def _rewritten(
         self, element: Element, attributes: dict[str, str], new: list[Element], start: int, stop: int
     ) -> bytes:
         """The start tag with its current attributes, followed by new children."""
-        tag = self._text[start:stop].decode("latin-1")
+        tag = re.sub(r"^<[^\s/>]+", f"<{element.tag}", self._text[start:stop].decode("latin-1"))
         added = ""
         for key in {**attributes, **element.attrib}:
             value = element.get(key)

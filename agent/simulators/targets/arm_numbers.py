@@ -22,6 +22,7 @@ from agent.model import (
 )
 from agent.robot import Dynamics, ParameterLayout, rotor_mass_matrix
 from agent.simulators.arm import USUAL_SPEED, SimulatedArm
+from agent.simulators.corrected.corrected_file import OFFSET
 from agent.simulators.effect_numbers import in_numbers, left_out, torque_text, usual_motion
 from agent.simulators.export import assumed, body_texts, friction_lines
 from agent.simulators.loader import is_simulator, load_arm, load_simulator
@@ -38,8 +39,9 @@ class JointNumbers:
     """One joint, SI on the joint side: rad or m, N·m or N.
 
     `inertia` is the least that it turns over its range, rotor included; `kp`, `kv`, `effort` and `delay` [s] are those
-    of its position servo, None where no servo is known; `force` and `asked`: its least and largest force and set-point,
-    None without limits; `interpolation` of a delayed set-point; `stiffness`, `rest`: a spring. Of joints whose axles
+    of its position servo, None where no servo is known; it stands `offset` off its set-points, and `closes` says what
+    that makes of a gap; `force` and `asked`: its least and largest force and set-point, None without limits;
+    `interpolation` of a delayed set-point; `stiffness`, `rest`: a spring. Of joints whose axles
     are coupled, `armature`, `damping` and `frictionloss` are those of their own axle.
     """
 
@@ -61,6 +63,8 @@ class JointNumbers:
     asked: tuple[float, float] | None = None
     delay: float = 0.0
     interpolation: str = "linear"
+    offset: float = 0.0
+    closes: str = ""
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,7 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
     servos = simulator.arm.servos if isinstance(simulator.arm.servos, PositionServos) else None
     changes, ranges = path.with_name(f"{path.stem}.changes.json"), path.with_name(f"{path.stem}.ranges.yaml")
     left_effects = tuple(_of_changes(changes, simulator.model)) if changes.is_file() else ()
+    closes = _offset_reasons(changes) if changes.is_file() else {}
     told = tuple(_as_exported(_of_ranges(ranges), simulator.arm)) if ranges.is_file() else ()
     numbers = _of_model(simulator.model, path, servos, left_effects, told, simulator.arm.step)
     notes = [*simulator.notes, *numbers.notes]
@@ -142,7 +147,8 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
         for joint in numbers.joints
         if joint.force is not None and joint.force[0] != -joint.force[1]
     ]
-    return replace(numbers, notes=tuple(notes), integrator=simulator.arm.integrator)
+    with_reasons = tuple(replace(joint, closes=closes.get(joint.name, "")) for joint in numbers.joints)
+    return replace(numbers, joints=with_reasons, notes=tuple(notes), integrator=simulator.arm.integrator)
 
 
 def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
@@ -155,6 +161,12 @@ def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
         raise InputError(
             f"{path}: is not what agent diagnose writes next to a corrected file; delete or mend it"
         ) from None
+
+
+def _offset_reasons(path: Path) -> dict[str, str]:
+    """Why servos of joints stand off their set-points, by joint."""
+    entries = (entry for entry in read_json(path)["changes"] if entry["attribute"] == OFFSET)
+    return {entry["element"].removeprefix("actuator of "): entry["reason"] for entry in entries}
 
 
 def _of_ranges(path: Path) -> Iterator[NumberRange]:
@@ -227,6 +239,7 @@ def _of_model(
             _limits(servos, "least", "most", k),
             0.0 if servos is None else float(delay[k]),
             _INTERPOLATIONS[servos.interpolations[k]] if servos is not None and delay[k] > 0 else "linear",
+            0.0 if servos is None else float(servos.offset[k]),
         )
         for k, joint in enumerate(robot.joints)
     )

@@ -32,9 +32,12 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
         if joint.kp is None or joint.kv is None:
             element = SubElement(actuator, "motor", name=joint.name, joint=joint.name)
         else:
-            element = SubElement(
-                actuator, "position", name=joint.name, joint=joint.name, kp=digits(joint.kp), kv=digits(joint.kv)
-            )
+            element = SubElement(actuator, "position", name=joint.name, joint=joint.name)
+            if joint.offset:  # the general one has a bias
+                element.tag, bias = "general", (joint.kp * joint.offset, -joint.kp, -joint.kv)
+                element.attrib.update(biastype="affine", gainprm=digits(joint.kp), biasprm=digits(*bias))
+            else:
+                element.attrib.update(kp=digits(joint.kp), kv=digits(joint.kv))
         if joint.effort is not None:
             element.set("forcerange", digits(*(joint.force or (-joint.effort, joint.effort))))
         if joint.asked is not None:

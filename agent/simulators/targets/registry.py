@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agent.core import InputError, write_atomically
+from agent.model import CATALOGUE
 from agent.runs import make_folder
 from agent.simulators.targets import genesis, isaaclab, mjcf, mjlab, newton, usd
 from agent.simulators.targets.arm_numbers import ArmNumbers
@@ -29,12 +30,13 @@ class Target(NamedTuple):
     step: float
     computes_servo: bool
     has_passive: bool = False
+    has_offset: bool = False
 
 
 #: Steps: MuJoCo's default timestep; sim.dt that Isaac Lab's arm tasks have (1/120 s); that of mjlab's tasks; 1/1000 s
 #: of newton:timeStepsPerSecond; Genesis' SimOptions.dt. A file's own timestep replaces them.
 TARGETS = {
-    "mjcf": Target("MuJoCo", mjcf.files, 0.002, computes_servo=False, has_passive=True),
+    "mjcf": Target("MuJoCo", mjcf.files, 0.002, computes_servo=False, has_passive=True, has_offset=True),
     "isaaclab": Target("Isaac Lab", isaaclab.files, 1 / 120, computes_servo=True),
     "mjlab": Target("mjlab", mjlab.files, 0.005, computes_servo=False),
     "usd": Target("USD (PhysX, Newton, MuJoCo)", usd.files, 1 / 120, computes_servo=False),
@@ -42,6 +44,7 @@ TARGETS = {
     "genesis": Target("Genesis", genesis.files, 0.01, computes_servo=False),
 }
 _LEFT_OUT = "left_out.json"
+_OFFSET = next(effect.name for effect in CATALOGUE.values() if effect.numbers == "offset of set-points")
 _NEARLY = "in the files, but not exactly"
 
 
@@ -70,7 +73,7 @@ def write_target(numbers: ArmNumbers, name: str, folder: Path, say: Callable[[st
         AgentError: the folder cannot be written.
     """
     target = target_of(name)
-    missing, step = list(_left_out(numbers, name.lower(), target.has_passive)), numbers.step or target.step
+    missing, step = list(_left_out(numbers, name.lower(), target)), numbers.step or target.step
     texts = dict(target.files(numbers, step))
     texts[_LEFT_OUT] = json.dumps({"schema": "left-out/1", "simulator": target.name, "effects": missing}, indent=1)
     make_folder(folder, "the export")
@@ -86,9 +89,22 @@ def write_target(numbers: ArmNumbers, name: str, folder: Path, say: Callable[[st
     return paths
 
 
-def _left_out(numbers: ArmNumbers, name: str, has_passive: bool) -> Iterator[dict[str, str]]:
+def _left_out(numbers: ArmNumbers, name: str, target: Target) -> Iterator[dict[str, str]]:
     """Effects that the files do not have, how the simulator could have them, and what of the gap that leaves."""
+    has_passive = target.has_passive
     known = json.loads(Path(__file__).with_name("effects.json").read_text(encoding="utf-8"))
+    for joint in numbers.joints if not target.has_offset else ():
+        if joint.offset:
+            place = "mm" if joint.prismatic else "mrad"
+            leaves = (
+                f"add {1e3 * joint.offset:+.4g} {place} to its set-points ({joint.closes or 'the servo stands there'})"
+            )
+            yield {
+                "effect": _OFFSET,
+                "of": f" of {joint.name}",
+                "how": known[_OFFSET].get(name, "no"),
+                "leaves": leaves,
+            }
     for entry in numbers.left:
         how, leaves = known.get(entry.effect, {}).get(name, "no"), entry.leaves
         if has_passive and entry.forces is not None:

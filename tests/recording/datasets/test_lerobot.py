@@ -197,6 +197,17 @@ def test_numbers_that_are_not_what_the_names_or_the_arm_say_are_refused(tmp_path
         read_recording(folder, narrow)
 
 
+@pytest.mark.parametrize(("largest", "said"), [(1.0, True), (0.98, False), (1.02, False)])
+def test_commands_that_look_normalised_are_said(tmp_path: Path, largest, said):
+    ((states, actions),) = drawn(19)
+    path = tmp_path / "log.csv"
+    scale = largest / np.abs(actions[:, :2]).max(axis=0)
+    rows = np.column_stack([np.arange(len(states)) / 30, 0.9 * scale * states[:, :2], scale * actions[:, :2]])
+    np.savetxt(path, rows, "%.7g", ",", header="time,q1,q2,cmd1,cmd2", comments="")
+    _, notes = read_recording(path, arm(SO101[:2]))
+    assert any("look normalised" in note for note in notes) == said
+
+
 def test_joints_that_leave_the_ranges_of_the_arm_are_said(tmp_path: Path):
     folder = write_lerobot(tmp_path / "set", [[in_degrees(values) for values in drawn(18)[0]]])
     tight = arm(SO101)
