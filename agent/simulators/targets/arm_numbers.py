@@ -30,6 +30,7 @@ from agent.simulators.servos import PositionServos
 from agent.simulators.urdf import moved_links
 
 _POSTURES = 200
+_NOT_OURS = "{}: is not what agent diagnose writes next to a corrected file; delete or mend it"
 #: Names of MuJoCo's interpolations between delayed controls, by number.
 _INTERPOLATIONS = ("zoh", "linear", "cubic")
 
@@ -158,15 +159,16 @@ def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
             effect = ModelEffect(entry["effect"], tuple(entry["joints"]), entry["parameters"])
             yield _left(model, effect, f"{reason}, which stays")
     except (ValueError, KeyError, TypeError, AttributeError):
-        raise InputError(
-            f"{path}: is not what agent diagnose writes next to a corrected file; delete or mend it"
-        ) from None
+        raise InputError(_NOT_OURS.format(path)) from None
 
 
 def _offset_reasons(path: Path) -> dict[str, str]:
     """Why servos of joints stand off their set-points, by joint."""
-    entries = (entry for entry in read_json(path)["changes"] if entry["attribute"] == OFFSET)
-    return {entry["element"].removeprefix("actuator of "): entry["reason"] for entry in entries}
+    try:
+        entries = [entry for entry in read_json(path).get("changes", ()) if entry["attribute"] == OFFSET]
+        return {entry["element"].removeprefix("actuator of "): str(entry["reason"]) for entry in entries}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(_NOT_OURS.format(path)) from None
 
 
 def _of_ranges(path: Path) -> Iterator[NumberRange]:
@@ -178,9 +180,7 @@ def _of_ranges(path: Path) -> Iterator[NumberRange]:
                 row = json.loads(line.strip()[2:])
                 yield NumberRange(*(row[key] for key in keys))
     except (ValueError, KeyError):
-        raise InputError(
-            f"{path}: is not what agent diagnose writes next to a corrected file; delete or mend it"
-        ) from None
+        raise InputError(_NOT_OURS.format(path)) from None
 
 
 def _as_exported(ranges: Iterable[NumberRange], arm: SimulatedArm) -> Iterator[NumberRange]:
