@@ -122,13 +122,13 @@ def name_causes(selected: SelectedCauses) -> SelectedCauses:
     sure = [k for k, probability in enumerate(selected.probability) if probability >= LAW.sure]
     if not sure or selected.explained_share < LIMITS.explained:
         return selected.without_causes(leaves_gap=True)
-    selected = replace(selected.only(sure), leaves_gap=exceeded)
+    selected = replace(selected.keeping(sure), leaves_gap=exceeded)
     lonely = []
     for k, cause in enumerate(selected.causes):
         if not selected.rivals[k] and not selected.ignored.isdisjoint(cause.effect.structurally_equivalent):
             selected = selected.with_runner_up(k)
             lonely += [] if selected.rivals[k] else [k]
-    return selected.only(
+    return selected.keeping(
         [k for k in range(len(selected.causes)) if k not in lonely], leaves_gap=exceeded or bool(lonely)
     )
 
@@ -164,7 +164,7 @@ def keep_supported(
             return selected, gap
         if any(lacking):
             kept, selected = causes, selected.with_rejected(lacking)
-        selected = selected.only(
+        selected = selected.keeping(
             [k for k, cause in enumerate(causes) if cause in kept and not lacking[k]],
             leaves_gap=selected.leaves_gap or any(lacking),
         )
@@ -179,7 +179,7 @@ def drop_replaceable(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCause
     count = len(selected.causes)
     lost = []
     for number in range(count):
-        others = selected.only([k for k in range(count) if k != number])
+        others = selected.keeping([k for k in range(count) if k != number])
         remaining = others.fit.out_of_fold(others.fit.transient)
         shares = gap.closure_without(remaining), _closure_on_own(selected, gap, number, remaining)
         lost.append((max(share or 0.0 for share in shares), number, others))

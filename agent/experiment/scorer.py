@@ -96,7 +96,7 @@ class ExperimentScorer:
             rows = np.hstack([model[:, j], columns[:, j]]) / sigma[:, j, None]
             used = np.flatnonzero(np.any(rows != 0, axis=0))
             free = free * (moving[j] / sigma[:, j])[:, None]
-            total[np.ix_(used, used)] += evidence.reduced(j, rows[:, used], free, step)
+            total[np.ix_(used, used)] += evidence.information_of_rows(j, rows[:, used], free, step)
         return InformationGain(total, MotionCoverage.of([signals]))
 
     def _columns(self, signals: MotionSignals, motion: GridMotion, rate: float) -> np.ndarray:
@@ -163,13 +163,13 @@ class ExperimentScorer:
     def chances(self, added: InformationGain) -> np.ndarray:
         """(pairs, 2) probability of the right answer where the first or the second side is true, after all motions."""
         expected = self.evidence(added)
-        least = np.array([[self._evidence.needed(pair.second.form is None)] for pair in self.pairs])
+        least = np.array([[self._evidence.naming_threshold(pair.second.form is None)] for pair in self.pairs])
         deviation = np.sqrt(2 * np.maximum(expected, 1e-12))
         return np.asarray(ndtr((expected - least) / deviation))
 
     def minimum_detectable_sizes(self, added: InformationGain) -> list[float | None]:
         """Per pair with nothing as its rival the smallest size that four of five draws show, over the practical one."""
-        root, least = np.sqrt(2) * self._evidence.law.margin, self._evidence.needed(True)
+        root, least = np.sqrt(2) * self._evidence.law.margin, self._evidence.naming_threshold(True)
         needed = root / 2 + np.sqrt((root / 2) ** 2 + least)
         return [
             float(needed / np.sqrt(first)) if pair.second.form is None and first > 0 else None

@@ -240,14 +240,14 @@ def test_information_is_that_of_all_rows_under_the_noise_model(case):
     rows, free = np.random.default_rng(3).normal(size=(2, 30, 3))
     weight, variance = 0.1 / THE_LAW.independent, evidence.noise.variance(1, scales[1], 0.0, {})
     errors = scales[1] / weight * np.eye(30) + variance * free @ free.T
-    np.testing.assert_allclose(evidence.reduced(1, rows, free, 0.1), rows.T @ np.linalg.solve(errors, rows))
+    np.testing.assert_allclose(evidence.information_of_rows(1, rows, free, 0.1), rows.T @ np.linalg.solve(errors, rows))
 
 
 def test_the_smallest_size_that_would_be_named_outweighs_the_prior(case):
     evidence, written = case
     sure, prior = LAW.sure / LAW.certain, (1 - LAW.rare) / len(CATALOGUE) / 2
-    assert evidence.needed(True) == pytest.approx(np.log(sure / (1 - sure) / prior))
-    assert evidence.needed(False) == pytest.approx(np.log(10))
+    assert evidence.naming_threshold(True) == pytest.approx(np.log(sure / (1 - sure) / prior))
+    assert evidence.naming_threshold(False) == pytest.approx(np.log(10))
     base = written.evaluate((), {}, np.minimum(evidence.nothing.scales, 1), refit=False)
     idle = evidence.pool.numbers([replace(written.forms[4], blocks=one) for one in ({}, {0: np.zeros((2 * ROWS, 1))})])
     *sizes, one, other = evidence.smallest_sizes()
@@ -257,7 +257,7 @@ def test_the_smallest_size_that_would_be_named_outweighs_the_prior(case):
         unit = written.effect(k) / written.rms(k)  # of nominal torque each
         information = unit.T @ np.linalg.solve(base.whole, unit)
         more, count = np.linalg.slogdet(np.eye(len(information)) + LAW.sizes[1] ** 2 * information)[1], len(information)
-        power = 0.8416212 + np.sqrt(2 * (written.cost(k) + evidence.needed(True)) + more)
+        power = 0.8416212 + np.sqrt(2 * (written.cost(k) + evidence.naming_threshold(True)) + more)
         assert size == pytest.approx(power / np.sqrt(information.sum() / count), rel=1e-4)
 
 
@@ -288,9 +288,9 @@ def test_how_far_an_effect_is_from_the_baselines():
         columns = columns * weights[:, None]
         away = np.sqrt(np.mean((columns @ (one.values[1] - known.mean)) ** 2))
         found.append((away, np.sqrt(np.trace(own @ columns.T @ columns) / len(columns))))
-    assert evidence.apart(one, 1) == pytest.approx(max(found), rel=1e-3)
-    assert evidence.apart(one, 0) is None
-    assert evidence.apart(evidence.evaluate((1,), {}), 0) is None
+    assert evidence.distance_from_baseline(one, 1) == pytest.approx(max(found), rel=1e-3)
+    assert evidence.distance_from_baseline(one, 0) is None
+    assert evidence.distance_from_baseline(evidence.evaluate((1,), {}), 0) is None
 
 
 def test_a_large_gap_adds_its_own_size_to_the_usual_ones(case):

@@ -53,7 +53,9 @@ def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
     nothing = next(one for one in found if not one.effects and not one.free)
     pool = SimpleNamespace(candidate=candidates.__getitem__, kinds=kinds)
     apart = lambda one, which: one.told.apart  # noqa: E731
-    return SimpleNamespace(law=LAW, joints=JOINTS, nothing=nothing, pool=pool, usual={}, apart=apart), found
+    return SimpleNamespace(
+        law=LAW, joints=JOINTS, nothing=nothing, pool=pool, usual={}, distance_from_baseline=apart
+    ), found
 
 
 def decided(*told, **more):
@@ -174,7 +176,7 @@ def test_each_cause_has_a_class_and_the_largest_comes_first():
     assert (verdict_on(found), found.rivals) == ("explained", ((), (ASYMMETRIC,)))
     again = found.with_rival(1, SPRING).with_rival(1, SPRING)
     assert (again.rivals, again.causes, again.fit) == (((), (SPRING, ASYMMETRIC)), found.causes, found.fit)
-    assert (found.only([1]).fit, found.only(()).fit) == (("with", OFFSET), found.plain)
+    assert (found.keeping([1]).fit, found.keeping(()).fit) == (("with", OFFSET), found.plain)
 
 
 @pytest.mark.parametrize(("apart", "rivals"), [(0.049, (HOSE,)), (0.051, ())])

@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.diagnosis.hypotheses.evidence import Evidence
-from agent.diagnosis.hypotheses.score import Evaluated
+from agent.diagnosis.hypotheses.score import EvaluatedHypothesis
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
@@ -106,7 +106,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
         )
 
 
-def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence, Evaluated], float]:
+def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evidence, EvaluatedHypothesis], float]:
     """Return the log likelihood that each hypothesis gives to the zeros of the channels.
 
     An effect that adds to the report of a channel shows there with its own size, alone or with the offset that the
@@ -115,7 +115,7 @@ def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evid
     before = _known_offsets(model)
     known = np.flatnonzero(np.isfinite(zero.torque))
 
-    def log_likelihood(evidence: Evidence, hypothesis: Evaluated) -> float:
+    def log_likelihood(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> float:
         offset = np.zeros(evidence.joints)
         for k, values in zip(hypothesis.effects, hypothesis.values, strict=True):
             candidate = evidence.pool.candidate(k)

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 from agent.diagnosis.hypotheses.joint_moments import solved_lower
 from agent.diagnosis.hypotheses.noise_model import scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidateBlock
-from agent.diagnosis.hypotheses.score import LEAST_SCALE, Evaluated, Score
+from agent.diagnosis.hypotheses.score import LEAST_SCALE, EvaluatedHypothesis, Score
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
 
@@ -23,7 +23,7 @@ from agent.diagnosis.rows.fit import Fit
 class Evidence(Score):
     """Scores of hypotheses, and the information of the logs on what they do not contain."""
 
-    def shortlist_gains(self, base: Evaluated) -> tuple[np.ndarray, list[np.ndarray]]:
+    def shortlist_gains(self, base: EvaluatedHypothesis) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return about what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
 
         The scales of the hypothesis stay, so this picks what to `evaluate`, whose log evidence is the score.
@@ -34,7 +34,7 @@ class Evidence(Score):
             return np.empty(0), []
         return np.concatenate([gain for gain, _ in parts]), [value for _, values in parts for value in values]
 
-    def _shortlist_gains(self, base: Evaluated, bank: CandidateBlock) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _shortlist_gains(self, base: EvaluatedHypothesis, bank: CandidateBlock) -> tuple[np.ndarray, list[np.ndarray]]:
         schur, side = self._schur(base, bank)
         gains, values = np.empty(len(bank.candidates)), [np.empty(0)] * len(bank.candidates)
         for width, which in bank.alike.items():
@@ -45,7 +45,7 @@ class Evidence(Score):
                 values[number] = fitted[row]
         return gains, values
 
-    def _schur(self, base: Evaluated, bank: CandidateBlock) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    def _schur(self, base: EvaluatedHypothesis, bank: CandidateBlock) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Per number of parameters k the information (N, k, k) on candidates beyond a hypothesis; (K,) their side."""
         size = int(bank.first[-1])
         cross, side = np.zeros((len(base.precision), size)), np.zeros(size)
@@ -56,7 +56,7 @@ class Evidence(Score):
                 continue
             (width, free), scale, moments = self.noise.width(j), base.scales[j], bank.moments[j]
             reach = joint.root.solved(moments[width : width + free]) / scale
-            others = [self.pool.with_bank(k, bank, j) for k in joint.effects]
+            others = [self.pool.products_with(k, bank, j) for k in joint.effects]
             cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
             side[at] += moments[-1] / scale - joint.half[:, -1] @ reach
             for k, which in bank.alike.items():
@@ -85,7 +85,7 @@ class Evidence(Score):
                 at = bank.first[which][:, None] + np.arange(width)
                 unit = 1 / (bank.rms[at] * np.sqrt(width))
                 information = np.maximum(np.einsum("nk,nkl,nl->n", unit, schur[width], unit), 1e-12)
-                cost = np.array([self.cost(bank.candidates[k]) + self.needed(True) for k in which])
+                cost = np.array([self.cost(bank.candidates[k]) + self.naming_threshold(True) for k in which])
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
                 log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
                 sizes[which] = (self.law.margin + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
@@ -126,7 +126,7 @@ class Evidence(Score):
             total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
         return total
 
-    def reduced(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
+    def information_of_rows(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
         """Information (k, k) of further rows (S, k) of a joint, given the noise model.
 
         Rows are divided by σ and `step` [s] apart; `free` (S, m) are the noise model's columns on them, divided by σ.

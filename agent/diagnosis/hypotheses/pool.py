@@ -115,7 +115,7 @@ class CandidateMoments:
         bank, k = self._where[number]
         return self.banks[bank].columns[joint][:, self.banks[bank].block(k, joint)]
 
-    def with_bank(self, number: int, bank: CandidateBlock, joint: int) -> np.ndarray:
+    def products_with(self, number: int, bank: CandidateBlock, joint: int) -> np.ndarray:
         """(k, K) products of a candidate's columns on a joint with those of a bank."""
         return np.asarray((self.columns(number, joint).T @ bank.columns[joint]).astype(float) * self.noise.weight)
 

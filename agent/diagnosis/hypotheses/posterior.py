@@ -19,7 +19,7 @@ from scipy.special import gammaln
 
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.hypotheses.score import Evaluated
+from agent.diagnosis.hypotheses.score import EvaluatedHypothesis
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses, share_joints
 from agent.diagnosis.rows.candidate import HypothesisKey
 from agent.diagnosis.rows.fit import Fit
@@ -29,13 +29,13 @@ _LISTED = 100  # numerical: hypotheses that a finding keeps
 _RIVALS = 2  # that a class lists next to its cause
 
 #: Log likelihood of something else that was observed, given a hypothesis.
-Observed = Callable[[Evidence, Evaluated], float]
+Observed = Callable[[Evidence, EvaluatedHypothesis], float]
 
 
 def compare(
     fit: Fit,
     evidence: Evidence,
-    found: Sequence[Evaluated],
+    found: Sequence[EvaluatedHypothesis],
     observed: Observed | None = None,
     ignored: Collection[str] = (),
 ) -> SelectedCauses:
@@ -68,7 +68,9 @@ def compare(
     )
 
 
-def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed | None = None) -> list[Hypothesis]:
+def posterior(
+    evidence: Evidence, found: Sequence[EvaluatedHypothesis], observed: Observed | None = None
+) -> list[Hypothesis]:
     """Return hypotheses with their probabilities, likeliest first."""
     nothing = evidence.nothing
     log = np.array([e.log_evidence for e in found])
@@ -100,13 +102,13 @@ def posterior(evidence: Evidence, found: Sequence[Evaluated], observed: Observed
     return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.places))))
 
 
-def _priors(evidence: Evidence, hypothesis: Evaluated) -> dict[frozenset[HypothesisKey], float]:
+def _priors(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> dict[frozenset[HypothesisKey], float]:
     """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
     priors = {}
     places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
     sizes = zip(places, hypothesis.largest, strict=True)
     healthy = [
-        _log_healthy(size, evidence.usual.get(place), evidence.apart(hypothesis, k))
+        _log_healthy(size, evidence.usual.get(place), evidence.distance_from_baseline(hypothesis, k))
         for k, (place, size) in enumerate(sizes)
     ]
     each = float(np.log((1 - LAW.rare) / len(CATALOGUE)))

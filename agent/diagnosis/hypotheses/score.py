@@ -40,7 +40,7 @@ _ROUNDS = 3  # numerical: of scales and sizes, one more where nothing is known
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluated:
+class EvaluatedHypothesis:
     """A hypothesis with its `log_evidence`.
 
     `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
@@ -105,12 +105,12 @@ class Score:
         residual = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
         largest = float(np.sqrt(np.mean(residual**2, axis=0)).max())
         self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
-        self._nothing: Evaluated | None = None
+        self._nothing: EvaluatedHypothesis | None = None
         self.pool.add(candidates)
         self._nothing = self.evaluate(())
 
     @property
-    def nothing(self) -> Evaluated:
+    def nothing(self) -> EvaluatedHypothesis:
         """The hypothesis without effects."""
         assert self._nothing is not None
         return self._nothing
@@ -122,7 +122,7 @@ class Score:
         effect, settings = candidate.effect, candidate.settings
         return effect.plausible(settings, named) and effect.possible(self.reference, candidate.joints, settings, named)
 
-    def as_expected(self, base: Evaluated) -> Evaluated:
+    def as_expected(self, base: EvaluatedHypothesis) -> EvaluatedHypothesis:
         """The same hypothesis with no joint's error scale above that of the noise model.
 
         The remainder of a large effect raises the scales, and then the noise model explains anything smooth.
@@ -137,7 +137,7 @@ class Score:
         free: Mapping[int, float] | None = None,
         scales: np.ndarray | None = None,
         refit: bool = True,
-    ) -> Evaluated:
+    ) -> EvaluatedHypothesis:
         """Integrate a hypothesis.
 
         Parameters
@@ -181,7 +181,7 @@ class Score:
         log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
         log -= sum(self.cost(self.pool.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
         alone = self._without_noise_model(joints, scales, ridges, ends)
-        return Evaluated(
+        return EvaluatedHypothesis(
             effects=tuple(effects),
             free=free,
             log_evidence=log,
@@ -194,7 +194,7 @@ class Score:
             mean=mean,
         )
 
-    def apart(self, evaluated: Evaluated, which: int) -> tuple[float, float] | None:
+    def distance_from_baseline(self, evaluated: EvaluatedHypothesis, which: int) -> tuple[float, float] | None:
         """Torque over nominal, root mean square, by which an effect of a hypothesis differs from the baseline's.
 
         Returns
@@ -230,7 +230,7 @@ class Score:
         with_it, without = (
             max(self.evaluate(some, {joint: size}).log_evidence for size in self.sizes) for some in (effects, others)
         )
-        return with_it - without >= self.needed(True)
+        return with_it - without >= self.naming_threshold(True)
 
     def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
@@ -254,7 +254,7 @@ class Score:
         values, _ = solved(matrix, side)
         return [values[a:b] for a, b in pairwise(ends)]
 
-    def needed(self, against_nothing: bool) -> float:
+    def naming_threshold(self, against_nothing: bool) -> float:
         """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
         law, sure = self.law, self.law.sure / self.law.certain
         if not against_nothing:

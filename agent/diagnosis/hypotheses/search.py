@@ -10,7 +10,7 @@ from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.posterior import Observed, compare
-from agent.diagnosis.hypotheses.score import Evaluated
+from agent.diagnosis.hypotheses.score import EvaluatedHypothesis
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.rows.candidate import TOGETHER, Candidate, HypothesisKey, Wanted
 from agent.diagnosis.rows.fit import Fit
@@ -65,7 +65,7 @@ class Search:
             if (only is None or (effect.name, joints) in only) and not self.coverage.lacking(effect, joints)
         ]
         self._known: set[Candidate] = set()
-        self._found: dict[Key, Evaluated] = {}
+        self._found: dict[Key, EvaluatedHypothesis] = {}
         self._tried: set[Key] = set()
 
     def run(self) -> SelectedCauses:
@@ -134,11 +134,11 @@ class Search:
     def _stable(self, wanted: Sequence[Wanted]) -> list[Candidate]:
         return [form for form in self.fit.candidates(wanted, rough=True) if form.stable]
 
-    def _text(self, base: Evaluated) -> str:
+    def _text(self, base: EvaluatedHypothesis) -> str:
         names = [self.evidence.pool.candidate(k).effect.name for k in base.effects]
         return " and ".join([*names, *["something else"] * len(base.free)])
 
-    def _worth(self, depth: int) -> list[Evaluated]:
+    def _worth(self, depth: int) -> list[EvaluatedHypothesis]:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
         least, smallest = self.evidence.nothing.log_evidence, 0.5 * LAW.practical
         level = [
@@ -149,7 +149,7 @@ class Search:
         ]
         return sorted(level, key=lambda hypothesis: -hypothesis.log_evidence)
 
-    def _extend(self, base: Evaluated, count: int) -> None:
+    def _extend(self, base: EvaluatedHypothesis, count: int) -> None:
         """Extend a hypothesis by the most promising effects, and by something else on each joint, and evaluate each."""
         evidence = self.evidence
         self._tried.add(self._key(map(evidence.pool.candidate, base.effects), base.free))
@@ -161,7 +161,7 @@ class Search:
             for size in LAW.sizes[:3]:
                 self._keep(evidence.evaluate(base.effects, {**base.free, joint: size}, base.scales))
 
-    def _refined(self, base: Evaluated, leaves_more: bool) -> tuple[np.ndarray, list[np.ndarray]]:
+    def _refined(self, base: EvaluatedHypothesis, leaves_more: bool) -> tuple[np.ndarray, list[np.ndarray]]:
         """Gains over a hypothesis, with the leaders' parameters refined.
 
         Forms follow what it leaves if that is more than the model's own error.
@@ -203,7 +203,7 @@ class Search:
             self.evidence.pool.add(new)
 
     def _promising(
-        self, base: Evaluated, gains: np.ndarray, values: Sequence[np.ndarray], count: int
+        self, base: EvaluatedHypothesis, gains: np.ndarray, values: Sequence[np.ndarray], count: int
     ) -> dict[HypothesisKey, list[int]]:
         """The best admissible parameterisations of the effects with the largest gain."""
         evidence = self.evidence
@@ -218,7 +218,7 @@ class Search:
                 places.setdefault(place, []).append(k)
         return places
 
-    def _keep(self, evaluated: Evaluated) -> None:
+    def _keep(self, evaluated: EvaluatedHypothesis) -> None:
         """Keep a hypothesis whose parameters can be true, in its best form."""
         evidence = self.evidence
         if not all(map(evidence.possible, evaluated.effects, evaluated.values)):

@@ -81,13 +81,13 @@ class SelectedCauses:
         of_joint = len(cause.joints) == 1 and "position" not in cause.effect.shapes
         return of_joint and self.evidence.irreplaceable(pool.numbers(self.causes), number)
 
-    def only(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
+    def keeping(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
         """The same finding with some of the causes, by number, and whether there is a gap without them.
 
         Causes take the forms that they have without the others, if that was evaluated.
         """
         if leaves_gap is not None:
-            return replace(self, leaves_gap=leaves_gap).only(kept)
+            return replace(self, leaves_gap=leaves_gap).keeping(kept)
         if len(kept) == len(self.causes):
             return self
         causes = tuple(self.causes[k] for k in kept)
@@ -106,7 +106,7 @@ class SelectedCauses:
 
     def without_causes(self, leaves_gap: bool) -> SelectedCauses:
         """The same finding with no cause, and whether there is a gap nevertheless."""
-        return replace(self.only(()), leaves_gap=leaves_gap)
+        return replace(self.keeping(()), leaves_gap=leaves_gap)
 
     def with_rejected(self, why: Sequence[str]) -> SelectedCauses:
         """The same finding with the causes that do not explain the gap among what is rejected; `why` of every cause."""

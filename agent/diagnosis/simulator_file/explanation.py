@@ -219,12 +219,12 @@ def _search_with(
     searched = search.run()
     selected = name_causes(searched)
     if hunting := [k for k in range(len(searched.causes)) if not selected.causes and _hunts(moved, searched, k)]:
-        selected = searched.only(hunting, leaves_gap=True)
+        selected = searched.keeping(hunting, leaves_gap=True)
     selected, gap = keep_supported(moved, selected, unit)
     large = [k for k in range(len(selected.causes)) if _misses(moved, selected, gap, k)]
     kept = [k for k in large if _possible(model, selected.fit, k)]
     if len(kept) < len(selected.causes):
-        selected = selected.only(kept) if kept else selected.without_causes(leaves_gap=bool(large))
+        selected = selected.keeping(kept) if kept else selected.without_causes(leaves_gap=bool(large))
         selected, gap = keep_supported(moved, selected, unit)
     return Explanation(released, search, selected, gap)
 
