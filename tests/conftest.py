@@ -29,7 +29,7 @@ from hypothesis import HealthCheck, is_hypothesis_test, settings
 
 from agent.robot import RobotDescription, load_robot
 from tests.browser import Browser, browser as start_browser
-from tests.warm import WarmProcess
+from tests.warm import WarmProcess, shared_nursery
 
 # The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
 # No deadline, and no complaint about slow examples: how long one takes is the machine's affair.
@@ -60,6 +60,14 @@ def drawn(usual: Draw, draw: Callable[[np.random.Generator], Draw]) -> Draw:
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT / "../shared/data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """All processes of a run start programs from one that has imported them."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        shared = contextlib.ExitStack()
+        shared.enter_context(shared_nursery())
+        config.add_cleanup(shared.close)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

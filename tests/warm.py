@@ -44,6 +44,7 @@ _LIBRARIES = (
 )
 _LONGEST = 1 << 20  # bytes of a request
 _HEADER = 8  # bytes of its length
+_DOOR = "CALIBRATION_NURSERY"  # in the environment: where a shared one is
 #: A command that has a process forked, and ends as it does; one that becomes another program starts by itself.
 _COMMAND = """\
 #!{python} -IS
@@ -178,14 +179,39 @@ def shell_command(file: Path, module: str, other: str) -> Iterator[None]:
         yield
 
 
+@contextlib.contextmanager
+def shared_nursery() -> Iterator[None]:
+    """One for all processes of the tests that are started meanwhile: to import everything takes seconds in each."""
+    with tempfile.TemporaryDirectory() as folder, socket.socket(socket.AF_UNIX) as door:
+        door.bind(f"{folder}/door")
+        door.listen(64)
+        with _started(door):
+            os.environ[_DOOR] = f"{folder}/door"
+            try:
+                yield
+            finally:
+                del os.environ[_DOOR]
+
+
+def _started(door: socket.socket | None = None) -> socket.socket:
+    """A connection with a new one, which ends with it; others may come by the `door`."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        files = [ends.fileno() for ends in (theirs, door) if ends is not None]
+        command = [sys.executable, __file__, *map(str, files)]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+        subprocess.Popen(command, pass_fds=files, cwd=ROOT, env=environment, stdin=subprocess.DEVNULL)
+    return ours
+
+
 @functools.cache
 def _nursery() -> object:
     """What asks for a process: a function of a request and its four files that returns the number of the process."""
-    ours, theirs = socket.socketpair()
-    with theirs:
-        command = [sys.executable, __file__, str(theirs.fileno())]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
-        subprocess.Popen(command, pass_fds=[theirs.fileno()], cwd=ROOT, env=environment, stdin=subprocess.DEVNULL)
+    if _DOOR in os.environ:
+        ours = socket.socket(socket.AF_UNIX)
+        ours.connect(os.environ[_DOOR])
+    else:
+        ours = _started()
 
     def ask(request: dict[str, object], files: list[int]) -> int:
         data = json.dumps(request).encode()
@@ -196,31 +222,55 @@ def _nursery() -> object:
     return ask
 
 
-def _serve(asked: socket.socket) -> dict[str, object] | None:
-    """Fork what is asked for until nobody can ask any more. Returns in every child what it has to run."""
-    running: dict[int, int] = {}
-    ended, noticed = os.pipe()
-    os.set_blocking(noticed, False)
-    signal.set_wakeup_fd(noticed, warn_on_full_buffer=False)
-    signal.signal(signal.SIGCHLD, lambda *_: None)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    while True:
-        ready = select.select([asked, ended], [], [])[0]
-        if ended in ready:
-            os.read(ended, _LONGEST)
-        for pid in list(running):
-            found, status = os.waitpid(pid, os.WNOHANG)
-            if found:
-                file = running.pop(pid)
+class _Nursery:
+    """Forks what is asked for, until the `owner` is gone.
+
+    Others come by the `door`. What somebody asked for ends when he goes.
+    """
+
+    def __init__(self, owner: socket.socket, door: socket.socket | None = None) -> None:
+        self._owner, self._door = owner, door
+        self._sockets = [owner] if door is None else [owner, door]
+        self._running: dict[int, tuple[int, socket.socket]] = {}  # where the exit code goes, and who asked
+        self._ended, self._noticed = os.pipe()
+
+    def serve(self) -> dict[str, object] | None:
+        """Returns in every child what it has to run."""
+        os.set_blocking(self._noticed, False)
+        signal.set_wakeup_fd(self._noticed, warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        while self._owner in self._sockets:
+            ready = select.select([*self._sockets, self._ended], [], [])[0]
+            if self._ended in ready:
+                os.read(self._ended, _LONGEST)
+            self._tell_ends()
+            for asked in [connection for connection in self._sockets if connection in ready]:
+                if asked is self._door:
+                    self._sockets.append(asked.accept()[0])
+                elif (request := self._answered(asked)) is not None:
+                    return request
+        return None
+
+    def _tell_ends(self) -> None:
+        for pid in list(self._running):
+            gone, status = os.waitpid(pid, os.WNOHANG)
+            if gone:
+                file, _ = self._running.pop(pid)
                 with contextlib.suppress(BrokenPipeError):
                     os.write(file, str(os.waitstatus_to_exitcode(status)).encode())
                 os.close(file)
-        if asked not in ready:
-            continue
-        header, files, _, _ = socket.recv_fds(asked, _HEADER, 4)
+
+    def _answered(self, asked: socket.socket) -> dict[str, object] | None:
+        """Fork what is asked for on a connection; None but in the child."""
+        header, files = b"", list[int]()
+        with contextlib.suppress(ConnectionError):
+            header, files, _, _ = socket.recv_fds(asked, _HEADER, 4)
         if not header:
-            for pid in running:
-                os.kill(pid, signal.SIGKILL)
+            for pid, (_, asker) in self._running.items():
+                if asked in (asker, self._owner):
+                    os.kill(pid, signal.SIGKILL)
+            self._sockets.remove(asked)
             return None
         request = json.loads(asked.recv(int(header), socket.MSG_WAITALL))
         pid = os.fork()
@@ -230,13 +280,17 @@ def _serve(asked: socket.socket) -> dict[str, object] | None:
             signal.signal(signal.SIGINT, signal.default_int_handler)
             for place, file in enumerate(files[:3]):
                 os.dup2(file, place)
-            for file in (*files, ended, noticed, asked.detach(), *running.values()):
+            others = [file for file, _ in self._running.values()]
+            others += [connection.detach() for connection in self._sockets]
+            for file in (*files, self._ended, self._noticed, *others):
                 os.close(file)
             return request
-        running[pid] = files[3]
+        self._running[pid] = files[3], asked
         for file in files[:3]:
             os.close(file)
-        asked.sendall(f"{pid:{_HEADER}}".encode())
+        with contextlib.suppress(ConnectionError):
+            asked.sendall(f"{pid:{_HEADER}}".encode())
+        return None
 
 
 def _become(request: dict) -> None:
@@ -296,7 +350,7 @@ def _import_all() -> None:
 
 if __name__ == "__main__":
     _import_all()
-    wanted = _serve(socket.socket(fileno=int(sys.argv[1])))
+    wanted = _Nursery(*(socket.socket(fileno=int(file)) for file in sys.argv[1:])).serve()
     if wanted is not None:
         _become(wanted)
         os._exit(_ran(wanted["module"]))
