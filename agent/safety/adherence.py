@@ -122,7 +122,7 @@ class Adherence:
         self._waiting: list[SampleBlock] = []
 
     @property
-    def left(self) -> float:
+    def remaining_time(self) -> float:
         """Seconds of the plan that the arm has not executed."""
         return float(self._path.when[-1] - self._path.when[self._first + len(self._fits) - 1])
 
@@ -167,16 +167,16 @@ class Adherence:
     def _stands(self, measured: np.ndarray, given: np.ndarray | None) -> str | None:
         """Why an arm that is now at these positions (n,) may not stand, if it seems to stand."""
         at = f"{self._last - self._began:.2f} s into the motion"
-        if (joint := self._stuck.contradiction()) is not None:
+        if (joint := self._stuck.contradicting_joint()) is not None:
             return (
                 f"{at} the speed of {self._robot.joint_names[joint]} says that it moves, its positions do not change: "
                 f"what the controller sends cannot be trusted; {_FAULT}"
             )
-        crept, position, allowed = self._stuck.crept(), given, SET_POINTS
+        crept, position, allowed = self._stuck.advance(), given, SET_POINTS
         if position is None:
             position, allowed = measured, MEASURED
         ways = self._first + np.flatnonzero(self._fits)
-        nearest = ways[np.argmin(self._path.apart(position, ways))]
+        nearest = ways[np.argmin(self._path.distances(position, ways))]
         slowest = float(self._path.slowest[self._path.rows[nearest]])
         if crept is None or not crept <= CREEPS * FROZEN * max(slowest, allowed.resting):
             self._stands_since = np.nan
@@ -190,7 +190,7 @@ class Adherence:
                 f"{at} the positions stand still where the plan does not stop: the arm was halted, or what the "
                 f"controller sends is frozen; {_FAULT}"
             )
-        if self._last - self._stands_since <= self._longest_rest or self._moved == 0.0 or self.left == 0.0:
+        if self._last - self._stands_since <= self._longest_rest or self._moved == 0.0 or self.remaining_time == 0.0:
             return None
         return f"{at} the arm has stood for more than {self._longest_rest:.1f} s at a stop of its program; {_FAULT}"
 
@@ -268,7 +268,7 @@ class Adherence:
         near = self._near(position[None], allowed, ways)[0]
         at = f"{when - self._began:.2f} s into the motion"
         if not near.any():
-            row = int(self._path.rows[ways[np.argmin(self._path.apart(position, ways))]])
+            row = int(self._path.rows[ways[np.argmin(self._path.distances(position, ways))]])
             return f"{at} {self._place_of(what, position, row, allowed)}"
         limit, fastest = self._robot.max_velocity, self._fastest(allowed, ways[near])
         best = int(np.argmin(np.max((speed - fastest) / limit, axis=1)))

@@ -152,7 +152,7 @@ class ReferencePath:
         """Distances (K, W) [m] from tool positions (K, 3) to those of rows (W,)."""
         return cdist(tool, self.tool[rows])
 
-    def apart(self, position: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def distances(self, position: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Distances (W,) [m] from a joint position (n,) to each of the points, all joints together."""
         return np.linalg.norm((self.q[self.rows[places]] - position) * self.levers, axis=1)
 

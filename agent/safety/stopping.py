@@ -87,24 +87,24 @@ class Braking:
         self._still_since = self.speed = None
 
     @property
-    def stands(self) -> bool:
+    def is_stationary(self) -> bool:
         """Whether the arm stood when it was seen last."""
         return self._still_since is not None
 
     @property
-    def rested(self) -> float:
+    def stationary_time(self) -> float:
         """Time [s] for which the arm has rested."""
         return 0.0 if self._still_since is None else float(self._times[-1]) - self._still_since
 
     @property
-    def brakes(self) -> bool:
+    def is_braking(self) -> bool:
         """Whether the arm is clearly slower than when the stop was asked for, and does not speed up again."""
         if self.speed is None or self.before is None:
             return False
         return self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)
 
     @property
-    def brakes_late(self) -> bool:
+    def seems_braking(self) -> bool:
         """Whether it is clearly slower than it was seen after that: one that is seen late slows down later."""
         if self.speed is None:
             return False
@@ -177,25 +177,25 @@ class Stopping:
             passed = self._clock() - self.since - self._excused
             if not self._shown:
                 self._look_at_state()
-            if self._braking.stands:
+            if self._braking.is_stationary:
                 self._end_without_a_word()
-            elif len(self._sent) == 1 and not (passed < AGAIN or self._braking.brakes):
+            elif len(self._sent) == 1 and not (passed < AGAIN or self._braking.is_braking):
                 self._send()
-            elif not passed < (STANDS if self._braking.brakes else LET_GO):
+            elif not passed < (STANDS if self._braking.is_braking else LET_GO):
                 self._let_go(f"{passed:.1f} s after the stop")
 
     def finish(self, failed: bool) -> None:
         """The samples have ended; `failed`: with the link. The state tells whether the arm stands where they do not."""
-        self.over = bool(self.seen) or (self._shown and self._sampled.stands)
+        self.over = bool(self.seen) or (self._shown and self._sampled.is_stationary)
         self._ended = True
         for _ in range(0 if self.over or failed else _LOOKS):
             with self._lock:
                 self._look_at_state()
-            if self._braking.stands:
+            if self._braking.is_stationary:
                 break
             threading.Event().wait(SPAN / 2)
         with self._lock:
-            if not (self.over or failed or self._braking.stands or self.seen):
+            if not (self.over or failed or self._braking.is_stationary or self.seen):
                 self._let_go("after the controller reported the end of the motion")
             self.over = True
         self.wait(ANSWERED)
@@ -215,7 +215,7 @@ class Stopping:
         return not self._ended and self._freshness.age <= RECENT
 
     def _end_without_a_word(self) -> None:
-        if not self._braking.rested < NO_END and (self._shown or not self._freshness.silent < LET_GO):
+        if not self._braking.stationary_time < NO_END and (self._shown or not self._freshness.silent < LET_GO):
             self.seen = "the arm stands, but the controller does not report the end of the motion; the link was closed"
             self._close()
 
@@ -248,7 +248,7 @@ class Stopping:
             )
             return
         self.disobeyed = True
-        lag = " It slows down, so what is seen of it may be late." if self._braking.brakes_late else ""
+        lag = " It slows down, so what is seen of it may be late." if self._braking.seems_braking else ""
         self._give_up(
             f"the arm does not obey: {when} it still moves, at {100 * speed:.0f} % of a joint's limit.{lag} The "
             "stop was sent again and the link closed, which stops an arm whose controller has a watchdog. PRESS THE "

@@ -39,7 +39,7 @@ class StuckPositions:
         while len(self._blocks) > 1 and self._blocks[1].time[0] <= self._blocks[-1].time[-1] - FROZEN:
             self._blocks.pop(0)
 
-    def crept(self) -> float | None:
+    def advance(self) -> float | None:
         """How far the joint that went farthest got in the last `FROZEN` seconds, over its speed limit [s].
 
         By set-points or, without them, measured positions; None where less is known.
@@ -52,7 +52,7 @@ class StuckPositions:
             return None
         return float(np.max(np.ptp(leading[since:], axis=0) / self._limits))
 
-    def contradiction(self) -> int | None:
+    def contradicting_joint(self) -> int | None:
         """The joint that moves by the reported speeds and stands by the positions, if any."""
         time, since = self._span()
         if since is None:

@@ -297,7 +297,7 @@ class MotionWatch:
 
         What came after that may be lost; then the arm has to stand at the end of the plan.
         """
-        remaining = 0.0 if self.stopped else self._adherence.left
+        remaining = 0.0 if self.stopped else self._adherence.remaining_time
         if remaining <= EARLY:
             return None
         lost = self._period * sum(gap.count for gap in self._driver.gaps if gap.first > last)

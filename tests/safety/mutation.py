@@ -122,7 +122,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     },
     "stopping.py": {
         "0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers",
-        "self._braking.rested < NO_END": "of times that are numbers",
+        "self._braking.stationary_time < NO_END": "of times that are numbers",
     },
     "watch.py": {
         "now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",

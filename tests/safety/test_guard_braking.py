@@ -497,7 +497,7 @@ def test_speed_is_the_highest_joint_speed(speed, chunk):
     for first in range(0, 200, chunk):
         braking.take(times[first : first + chunk], way[first : first + chunk])
     assert braking.speed == pytest.approx(speed, rel=1e-6)
-    assert braking.stands is (speed <= STILL)
+    assert braking.is_stationary is (speed <= STILL)
 
 
 @pytest.mark.parametrize("times", [[1.0, np.nan], [1.0, 0.5]])
@@ -505,7 +505,7 @@ def test_non_finite_times_are_not_evidence_of_rest(times):
     braking = Braking(ROBOT.max_velocity)
     for when in times:
         braking.take(np.array([when]), HOME[None])
-    assert (braking.stands, braking.speed) == (False, None)
+    assert (braking.is_stationary, braking.speed) == (False, None)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, None])
@@ -554,23 +554,23 @@ def test_a_clock_change_restarts_the_speed_estimate():
     """Or the way between two clocks would be a speed."""
     braking = Braking(ROBOT.max_velocity)
     braking.take(10.0 + PERIOD * np.arange(100), np.tile(HOME, (100, 1)))
-    assert braking.stands
+    assert braking.is_stationary
     braking.take(500.0 + PERIOD * np.arange(10), np.tile(HOME + 1.0, (10, 1)))
-    assert (braking.stands, braking.speed, braking.rested) == (False, None, 0.0)
+    assert (braking.is_stationary, braking.speed, braking.stationary_time) == (False, None, 0.0)
 
 
 def test_non_finite_positions_show_neither_braking_nor_rest():
     braking = Braking(ROBOT.max_velocity)
     braking.before = 0.5
     braking.take(PERIOD * np.arange(100), np.full((100, 6), np.nan))
-    assert not braking.brakes
-    assert not braking.stands
+    assert not braking.is_braking
+    assert not braking.is_stationary
 
 
 def test_an_arm_of_unknown_earlier_speed_is_not_braking():
     braking = Braking(ROBOT.max_velocity)
     way = np.outer(PERIOD * np.arange(100), ROBOT.max_velocity)
     braking.take(PERIOD * np.arange(100), way)
-    assert not braking.brakes
+    assert not braking.is_braking
     braking.take(PERIOD * np.arange(100, 200), np.repeat(way[-1:], 100, axis=0))
-    assert braking.stands
+    assert braking.is_stationary

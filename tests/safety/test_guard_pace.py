@@ -129,12 +129,12 @@ def test_keeps_the_cycle_after_losing_a_cycle_of_samples(trajectory_through, cyc
     check = watcher(*[cycle] * 9)
     assert run(check, driven[:before], driven[:before]) is None
     assert run(check, driven, driven, first=after) is None
-    assert check.left < 0.1
+    assert check.remaining_time < 0.1
     short = watcher(*[cycle] * 9)
     until = 8 * len(driven) // 9
     assert run(short, driven[:before], driven[:before]) is None
     assert run(short, driven[:until], driven[:until], first=after) is None
-    assert short.left == pytest.approx(cycle.t[-1], abs=0.1), "an end that is a cycle early shows"
+    assert short.remaining_time == pytest.approx(cycle.t[-1], abs=0.1), "an end that is a cycle early shows"
 
 
 def test_follows_a_path_that_returns_on_itself(trajectory_through):
@@ -143,6 +143,6 @@ def test_follows_a_path_that_returns_on_itself(trajectory_through):
     chain = trajectory_through(knots, 8.0)
     check = watcher(chain)
     assert follow(check, paced(chain, 1.05)) is None
-    assert check.left < 0.1
+    assert check.remaining_time < 0.1
     waits = np.repeat(chain.q[999:1000], 100, axis=0)
     assert follow(watcher(chain), paced(chain, 1.0)[:1000], waits, given=False) is None

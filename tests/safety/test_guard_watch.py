@@ -66,7 +66,7 @@ class Link:
 class Content:
     """Finds nothing wrong with a motion."""
 
-    left = 0.0
+    remaining_time = 0.0
 
     def take(self, block: SampleBlock) -> None:
         pass
