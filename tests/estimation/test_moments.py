@@ -98,7 +98,7 @@ def test_some_parameters_have_the_sums_of_their_columns_in_the_order_given(probl
 
 def test_rows_may_be_trusted_in_part(problem, rows):
     trusted = np.random.default_rng(2).uniform(size=(len(rows[0][0]), 2))
-    found = sums.collect(problem.observation, problem.partition, problem.terms, problem.friction(), [trusted])
+    found = sums.collect_moments(problem.observation, problem.partition, problem.terms, problem.friction(), [trusted])
     np.testing.assert_allclose(found.weighted(WEIGHTS), summed(rows, trusted=trusted), rtol=1e-9, atol=1e-6)
 
 
