@@ -192,7 +192,13 @@ REAL_MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("reason", REAL_MISTAKES)
+@pytest.mark.parametrize(
+    "reason",
+    [  # a simulated arm with two joints swapped is above
+        pytest.param(reason, marks=pytest.mark.verify if reason == "joint_3 and joint_4 look swapped" else ())
+        for reason in REAL_MISTAKES
+    ],
+)
 def test_a_mistake_in_logs_of_a_real_arm_is_named(shared_data, reason):
     (robot, *names), change = REAL_MISTAKES[reason]
     described, logs = recorded(shared_data / "real-dev", robot, *names)
