@@ -133,9 +133,9 @@ def test_a_rest_in_a_program_that_was_started_by_hand_is_no_stop(arm, serve):
 @pytest.mark.verify
 def test_ten_minutes_at_500_hz(tmp_path, broker, measured):
     """Real time, five topics: every sample joined; the CPU is that of driver and reader."""
-    options = ["--driver", "cnr_comau", "--clock", "real", "--watchdog", "5"]
+    options = ["--watchdog", "5", "--broker", "{}:{}".format(*broker.address)]
     with (
-        emulator(tmp_path, *options, "--broker", "{}:{}".format(*broker.address)) as (_, address),
+        emulator(tmp_path, "cnr_comau", "real", *options) as (_, address),
         connected(address, "comau_ns16") as driver,
     ):
         driver.start("p", driver.upload("p", NS16))

@@ -30,10 +30,10 @@ def program(cycles):
 
 
 @contextmanager
-def emulator(tmp_path, wire, clock):
+def emulator(tmp_path, wire, clock, *more):
     """The process, and the address it serves at."""
     ready = tmp_path / "ready"
-    options = ("--driver", wire, "--clock", clock, "--port", "0", "--ready-file", ready)
+    options = ("--driver", wire, "--clock", clock, "--port", "0", "--ready-file", ready, *more)
     with PipedProcess("fake_controller", *options) as process:
         assert process.stdout.readline()
         yield process, ready.read_text(encoding="utf-8").strip()
