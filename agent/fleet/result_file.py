@@ -25,6 +25,8 @@ from agent.core import InputError, swept_folder
 from agent.fleet.store import SCRATCH, Store, StoreError
 
 ROWS, DONE, MODELS = "rows.parquet", "_done", "_models"
+#: Kinds of results, by the command that makes each row.
+KINDS = ("estimate", "validate", "diagnose")
 #: Keys of the file: the kind of result, and where its runs are.
 META, SOURCE = b"agent.fleet", b"agent.fleet.source"
 SCHEMA_NAME = "fleet/1"

@@ -25,7 +25,6 @@ from agent.fleet.store import Store, StoredFile
 from agent.pipeline import check_structure
 from agent.robot import RobotDescription, load_robot
 
-KINDS = ("estimate", "validate", "diagnose")
 #: Logs of a run folder of the agent that each kind of task uses; of any other folder all are used.
 _OF_A_RUN = {
     "estimate": ("excitation.mcap",),

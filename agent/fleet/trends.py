@@ -22,9 +22,8 @@ from scipy.stats import false_discovery_control
 from agent.core import InputError, swept_folder
 from agent.fleet.families import RATE, Family, find_families, read_columns
 from agent.fleet.machines import FleetMachine, read_machines
-from agent.fleet.result_file import META, ROWS, is_result, open_rows
+from agent.fleet.result_file import KINDS, META, ROWS, is_result, open_rows
 from agent.fleet.store import SCRATCH, Store
-from agent.fleet.tasks import KINDS
 from agent.runs import FEWEST, Trend
 
 SCHEMA_NAME = "fleet-trends/1"
