@@ -15,7 +15,7 @@ from agent.model.effects.experiments import SHARP_REVERSALS
 from agent.model.friction_terms import axle_columns
 
 _ABSORBED = 1e-3  # s, from where on a fitted reversal of friction may have taken part of the delay
-_SHARPER = (0.5, 0.25)  # parts of the model's way over which what is shifted may turn
+_SHARPER = (0.7, 0.35)  # parts, middles of two octaves, of the way over which the model's friction turns
 _LONGEST = 0.05  # s
 _SHORTEST = 1e-4  # numerical: s, so that a delay keeps its sign
 _TRIED = tuple(sign * delay for delay in geometric(_ABSORBED, _LONGEST) for sign in (-1, 1))
@@ -54,19 +54,20 @@ class TimeDelay(Effect):
     nonlinear = ("reversal",)
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
-        tried = [{"delay": delay} for delay in _TRIED]
-        best = min(tried, key=lambda s: abs(float(context.fit(self, joints, s)[0]) - 1))
-        plain = self._solved(context, joints, best)
+        plain = self._solved(context, joints, {})
         if abs(plain["delay"]) < _ABSORBED or not _turns_slowly(context.reference):
             return [plain]
-        return [plain, *(self._solved(context, joints, {**plain, "reversal": part}) for part in _SHARPER)]
+        return [plain, *(self._solved(context, joints, {"reversal": part}) for part in _SHARPER)]
 
     def _solved(self, context: FitContext, joints: Joints, settings: dict[str, float]) -> dict[str, float]:
-        """The delay at which the share is one, by two steps of Gauss and Newton."""
-        delay = settings["delay"]
+        """The delay at which the share is one, by two steps of Gauss and Newton from the one that is nearest to it."""
+
+        def share(delay: float) -> float:
+            return float(context.fit(self, joints, {**settings, "delay": delay})[0])
+
+        delay = min(_TRIED, key=lambda tried: abs(share(tried) - 1))
         for _ in range(2):
-            share = context.fit(self, joints, {**settings, "delay": delay})[0]
-            delay = float(np.clip(delay * share, -_LONGEST, _LONGEST))
+            delay = float(np.clip(delay * share(delay), -_LONGEST, _LONGEST))
             delay = float(np.copysign(max(abs(delay), _SHORTEST), delay))
         return {**settings, "delay": delay}
 
