@@ -420,7 +420,7 @@ def test_the_page_of_a_recorded_run_shows_drift_and_intervals(nominal, tmp_path,
     (tmp_path / "state.json").write_text(json.dumps({"question": {"cutoff": None, "without": []}}))
     one = {"of": "joint pan", "parameter": "damping", "value": 1.0, "low": 0.9, "high": 1.1, "unit": "N·m·s/rad"}
     (tmp_path / "result.json").write_text(json.dumps({**nominal[2].result, "forward": forward, "ranges": [one]}))
-    monkeypatch.setattr("agent.pipeline.gap.diagnose.find", lambda *_: DiagnosisRun(nominal[2]))
+    monkeypatch.setattr("agent.pipeline.gap.diagnose.run_diagnosis", lambda *_: DiagnosisRun(nominal[2]))
     page = diagnose_again(tmp_path, nominal[0].robot, "bench", Console(-1))
     for text in ("How far it drifts", "0.3 (0.1 to 0.4)", "For training policies", "schema: randomisation/1"):
         assert text in page
