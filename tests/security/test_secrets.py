@@ -321,11 +321,9 @@ def test_run_folders_contain_no_passwords(broker, tmp_path: Path, umask: int):
     with closing(CnrServer(controller, watchdog=20.0, broker=broker.address, waits=True)) as server:
         address = f"{server.address},password_from=env:CELL_FTP,mqtt_user=joe,mqtt_password_from=file:../mqtt.secret"
         (work / "recipe.yaml").write_text(recipe(address, "cnr_comau"), encoding="utf-8")
-        before = os.umask(umask)
-        try:
-            run = agent(work, "calibrate", "recipe.yaml", "-v", CELL_FTP=f"ftp-{PLANTED}")
-        finally:
-            os.umask(before)
+        command = [sys.executable, "-m", "agent", "calibrate", "recipe.yaml", "-v"]
+        env = {**os.environ, "CELL_FTP": f"ftp-{PLANTED}", "PYTHONPATH": str(warm.ROOT)}
+        run = subprocess.run(command, cwd=work, env=env, umask=umask, capture_output=True, text=True, check=False)
     assert list((work / "logs").glob("*/excitation.mcap")), run.stderr
     assert PLANTED not in run.stdout + run.stderr
     assert leaks(work, PLANTED) == []
