@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
 from agent.diagnosis.document import Cause
 from agent.diagnosis.rows.fit import Fit
@@ -107,3 +108,13 @@ def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it()
     assert likely_effects_on(released, selected, friction) == ["stribeck"]  # type: ignore[arg-type]
     selected.causes = [SimpleNamespace(place=("stribeck", (1,)))]
     assert likely_effects_on(released, selected, friction) == []  # type: ignore[arg-type]
+
+
+@given(st.floats(-5, 5), st.floats(1e-3, 5), st.floats(1e-3, 5), st.sampled_from(servo_table.SERVO_NUMBERS))
+def test_an_interval_holds_its_number_is_possible_and_keeps_its_width_above_it(value, below, above, kind):
+    number, low, high = servo_table._possible(kind, value, value - below, value + above)
+    assert low <= number <= high
+    assert high - number == pytest.approx(above)
+    assert kind == "offset" or low >= 0
+    if value - below > 0 or kind == "offset":
+        assert (number, low) == (value, value - below)

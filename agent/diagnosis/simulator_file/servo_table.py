@@ -82,9 +82,13 @@ def servo_table(found: Explanation) -> dict[str, Any]:
 
 
 def _possible(kind: str, value: float, low: float, high: float) -> tuple[float, float, float]:
-    """A number and its interval, of which nothing is below zero but an offset."""
+    """A number and its interval, of which nothing is below zero but an offset.
+
+    The interval of an estimate below zero moves up with it to zero: cut off, it could have no width.
+    """
     least = -np.inf if kind == "offset" else 0.0
-    return max(float(value), least), max(float(low), least), max(float(high), least)
+    shift = max(least - float(value), 0.0)
+    return float(value) + shift, max(float(low) + shift, least), float(high) + shift
 
 
 def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.ndarray, ...]:
