@@ -209,10 +209,10 @@ def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tu
 
 
 def _closure_on_own(selected: SelectedCauses, gap: HeldOutGap, number: int, without: np.ndarray) -> float | None:
-    """Part of the gap that is lost if (S', n) [N·m] is left, on the joints of a cause that no larger one has.
+    """Part of the gap that the cause `number` alone closes, on its joints without those of larger causes.
 
-    Of an effect of the whole arm that is the main one of them, as most of the arm's gap may be the model's own error;
-    next to a larger one there is none. None where nothing is left.
+    `without` (S', n) [N·m] is the residual of the fit without it. For an effect of the whole arm only its main joint
+    counts, as most of the arm's gap may be the model's own error. None if larger causes have all of its joints.
     """
     cause, larger = selected.causes[number], selected.causes[:number]
     taken = {joint for other in larger for joint in other.joints or (() if cause.joints else other.blocks)}

@@ -4,14 +4,12 @@ A row with (d) is run in nine more draws, each with other postures, motions, mom
 tests/conftest.py); a repeat of the same would prove nothing.
 """
 
-import os
 import re
-import subprocess
-import sys
 
 import pytest
 
 from tests.conftest import ROOT
+from tests.reruns import hold_again
 
 DRAWS = range(1, 10)
 
@@ -28,15 +26,5 @@ def drawn_attacks() -> list[str]:
 @pytest.mark.parametrize("draw", DRAWS)
 def test_attacks_hold_with_another_random_draw(draw: int, folder: str, measured):
     tests = [test for test in drawn_attacks() if test.split("/")[1] == folder]
-    run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "0", "--no-header", "--tb=short", "-m", "verify or not verify"] + tests,
-        cwd=ROOT,
-        env={**os.environ, "CALIBRATION_DRAW": str(draw)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    tried = re.search(r"(\d+) passed", run.stdout)
-    ended = f"{tried[1] if tried else 0} tries, exit {run.returncode}"
-    measured(f"attacks of {folder} in draw {draw}", ended, "", "all held", run.returncode == 0)
-    assert run.returncode == 0, run.stdout[-3000:]
+    arguments = ("-n", "0", "-m", "verify or not verify", *tests)
+    hold_again(measured, f"attacks of {folder} in draw {draw}", "all held", *arguments, CALIBRATION_DRAW=str(draw))
