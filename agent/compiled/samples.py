@@ -131,7 +131,7 @@ def _raise_to(largest: np.ndarray, values: np.ndarray, limit: float) -> None:
 def tcp_rates(out: np.ndarray, joints: int) -> np.ndarray:
     """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP.
 
-    found (3, n + 7, S) as of `sampled_on`.
+    out (3, n + 7, S) as of `sampled_on`.
     """
     rates = np.empty((4, out.shape[2]))
     quaternion, rate, change = out[0, joints + 3 :], out[1, joints:], out[2, joints:]

@@ -55,7 +55,7 @@ class Aligner:
 
     def finish(self, write_planned: Callable[[np.ndarray, np.ndarray, np.ndarray], None]) -> list[float]:
         """Write the planned set-points; returns the controller times at which cycles start (all but the approach)."""
-        segments, chains, approaches = self._segments.found, self._chains, self._approaches
+        segments, chains, approaches = self._segments.ranges, self._chains, self._approaches
         if len(segments) == len(chains) - 1 and is_standstill(chains[0]):
             chains, approaches = chains[1:], 0  # the arm stood at the first point already
         if not self._seen or not segments or len(segments) != len(chains):
@@ -72,14 +72,14 @@ class Aligner:
 
 
 class MovingSegments:
-    """[start, stop) ranges of set-points between rests of at least `rest` samples, as the set-points come.
+    """[start, stop) ranges of set-points between rests of at least `still_samples` samples, as the set-points come.
 
     A range starts at the last sample before the first change and ends after the last change.
     """
 
     def __init__(self, still_samples: int) -> None:
-        self.found: list[tuple[int, int]] = []
-        self._rest = still_samples
+        self.ranges: list[tuple[int, int]] = []
+        self._still_samples = still_samples
         self._count = 0
         self._last: np.ndarray | None = None
 
@@ -88,13 +88,13 @@ class MovingSegments:
         before = reference[:1] if self._last is None else self._last[None]
         moved = np.any(np.diff(reference, axis=0, prepend=before) != 0.0, axis=1)
         changes = self._count - 1 + np.flatnonzero(moved)
-        for run in np.split(changes, np.flatnonzero(np.diff(changes) > self._rest) + 1):
+        for run in np.split(changes, np.flatnonzero(np.diff(changes) > self._still_samples) + 1):
             if len(run) == 0:
                 continue
             start, stop = int(run[0]), int(run[-1]) + 2
-            if self.found and start - (self.found[-1][1] - 2) <= self._rest:
-                start, _ = self.found.pop()
-            self.found.append((start, stop))
+            if self.ranges and start - (self.ranges[-1][1] - 2) <= self._still_samples:
+                start, _ = self.ranges.pop()
+            self.ranges.append((start, stop))
         self._count += len(reference)
         self._last = np.array(reference[-1])
 
@@ -104,4 +104,4 @@ def moving_segments(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:
     segments = MovingSegments(rest)
     if len(reference):
         segments.add(reference)
-    return segments.found
+    return segments.ranges

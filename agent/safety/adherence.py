@@ -1,6 +1,6 @@
 """Compares the set-points and measured positions of a motion with the plan that was checked.
 
-The controller's interpolator is not known exactly, so samples are not compared one by one. Three conditions hold:
+The controller's interpolator is not known exactly, so samples are not compared one by one. Four conditions hold:
 
 - Each sample is close to some point of the planned path, at no more than the planned speed around that point.
 - These points advance along the path: the points of a sample are reached from those of the sample before, never
@@ -89,7 +89,7 @@ class Adherence:
         robot, tool: the arm that moves.
         margin: distance from its path that the cell check allowed the tool [m].
         period: of the samples [s]; with their numbers it gives the motion time before the first sample.
-        rest: longest time [s] that the arm may stand at a stop, between its first and its last one.
+        longest_rest: longest time [s] that the arm may stand at a stop, between its first and its last one.
     """
 
     def __init__(

@@ -95,7 +95,7 @@ class MotionWatch:
         self.stopping = Stopping(driver, robot, address, self._freshness, clock, warn)
 
     def listen(self) -> None:
-        """Judge samples while the motion is being started, in a thread, until `samples` or `rest` goes on with them."""
+        """Judge samples while the motion is being started, in a thread, until `samples` or `drain` takes over."""
         self._freshness.hold()
         self._source = self._driver.samples()
         self._until_started.enter_context(self._watched())

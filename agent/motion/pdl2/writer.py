@@ -88,12 +88,8 @@ def write_loop_program(name: str, loop: LoopProgram, robot: RobotDescription | N
 
     Args:
         name: of the program.
-        points: via-points in order.
-        settings: of the moves of a cycle.
-        cycles: how often the loop is run.
-        approach: settings of the way to the first point.
+        loop: approach, moves and number of cycles.
         robot: whose prismatic joints are written in mm.
-        start: joint positions of the first point.
 
     Raises:
         InputError: what `write_program` refuses.
