@@ -99,9 +99,9 @@ class MovingSegments:
         self._last = np.array(reference[-1])
 
 
-def moving_segments(reference: np.ndarray, rest: int) -> list[tuple[int, int]]:
+def moving_segments(reference: np.ndarray, still_samples: int) -> list[tuple[int, int]]:
     """The `MovingSegments` of (S, n) set-points."""
-    segments = MovingSegments(rest)
+    segments = MovingSegments(still_samples)
     if len(reference):
         segments.add(reference)
     return segments.ranges

@@ -25,7 +25,7 @@ import numpy as np
 
 from agent.safety.planned_program import is_standstill
 from agent.safety.reference_path import ReferencePath
-from agent.safety.stuck_positions import CREEPS, FROZEN, StuckPositions
+from agent.safety.stuck_positions import FREEZE_WINDOW, FROZEN_SHARE, StuckPositions
 
 if TYPE_CHECKING:
     from agent.motion import Trajectory
@@ -36,10 +36,11 @@ if TYPE_CHECKING:
 AHEAD = 4.0
 #: Longest time [s] that measured values may be behind the set-points, or ahead of them.
 LAG, LEAD = 0.15, 0.05
-#: The arm may be ahead or behind by a share of the time plus an allowance [s], on a path that takes `WAY` [s] by plan.
+#: The arm may be ahead or behind by a share of the time plus an allowance [s]. It is counted anew on a path that takes
+#: `RESYNC_AFTER` [s] by plan.
 #: A corner that one law flies through and another almost stops at costs v/a, 0.7 s at 1.2 m/s and 1.7 m/s²; over a few
 #: moves, ramps, corners and jerk of two laws differ by 20 % (tests/safety/test_off_plan.py: laws drawn at random).
-SHARE, ALLOWANCE, WAY = 0.2, 0.7, 4.0
+SHARE, ALLOWANCE, RESYNC_AFTER = 0.2, 0.7, 4.0
 #: Samples this far apart [s] say nothing about the time between them.
 GAP = 0.1
 #: No joint is farther than this [rad, m] or faster, and no torque is larger [N·m, N].
@@ -53,7 +54,7 @@ _COLUMNS = {
     "reference_velocity": "speeds of set-points",
 }
 #: Samples of this duration [s] are judged together: a link may deliver them one by one.
-TOGETHER = 0.016
+BATCH_DURATION = 0.016
 _BLOCKS, _ROWS = 16, 64  # at once
 
 
@@ -116,7 +117,7 @@ class Adherence:
         self._last = 0.0
         #: The path points that fit the last sample: index of the first point, and a mask from there on.
         self._first, self._fits = 0, np.ones(1, dtype=bool)
-        self._seen = self._path.moving(MEASURED.resting * robot.max_velocity)
+        self._visible_time = self._path.moving(MEASURED.resting * robot.max_velocity)
         self._moved, self._mark = 0.0, (0.0, np.zeros(2))
         self._recent: dict[str, tuple[np.ndarray, np.ndarray]] = {}
         self._waiting: list[SampleBlock] = []
@@ -124,18 +125,18 @@ class Adherence:
     @property
     def remaining_time(self) -> float:
         """Seconds of the plan that the arm has not executed."""
-        return float(self._path.when[-1] - self._path.when[self._first + len(self._fits) - 1])
+        return float(self._path.plan_time[-1] - self._path.plan_time[self._first + len(self._fits) - 1])
 
     def ends_at(self, position: np.ndarray) -> bool:
         """Whether an arm that is stationary at `position` (n,) has arrived."""
-        end = np.array([len(self._path.when) - 1])
+        end = np.array([len(self._path.plan_time) - 1])
         return position.shape == self._path.q.shape[1:] and bool(self._near(position[None], MEASURED, end).all())
 
     def take(self, block: SampleBlock) -> str | None:
         """Take the next samples; return the reason if the arm has to stop."""
         self._waiting.append(block)
         few = len(self._waiting) < _BLOCKS  # of a clock that stands still, too
-        if few and float(block.time[-1]) - float(self._waiting[0].time[0]) < TOGETHER:
+        if few and float(block.time[-1]) - float(self._waiting[0].time[0]) < BATCH_DURATION:
             return None
         return self.judge()
 
@@ -145,26 +146,26 @@ class Adherence:
             return None
         blocks, self._waiting = self._waiting, []
         time, measured = (np.concatenate([getattr(block, name) for block in blocks]) for name in ("time", "position"))
-        seen = [block.reference_position for block in blocks if block.reference_position is not None]
-        given = np.concatenate(seen) if len(seen) == len(blocks) else None
+        references = [block.reference_position for block in blocks if block.reference_position is not None]
+        reference = np.concatenate(references) if len(references) == len(blocks) else None
         if not np.isfinite(time).all():
             return f"the controller sent times that are no numbers; {_FAULT}"
-        for name, what in _COLUMNS.items():
+        for name, label in _COLUMNS.items():
             sent = [values for block in blocks if (values := getattr(block, name)) is not None]
             if not all(bool(np.all(np.abs(values) < FARTHEST)) for values in sent):
-                return f"the controller sent {what} that are no numbers; {_FAULT}"
+                return f"the controller sent {label} that are no numbers; {_FAULT}"
         if np.isnan(self._began):
             self._began = self._last = float(time[0]) - self._period * float(blocks[0].sequence[0])
         lost = np.flatnonzero(np.diff(time, prepend=self._last) > GAP)  # each of these has a long way to be on
         cuts = sorted({*range(0, len(time), _ROWS), *lost.tolist(), *(lost + 1).tolist(), len(time)})
         for part in (slice(*pair) for pair in itertools.pairwise(cuts)):
-            reason = self._judge(time[part], measured[part], None if given is None else given[part])
+            reason = self._judge(time[part], measured[part], None if reference is None else reference[part])
             if reason is not None:
                 return reason
         self._stuck.take(blocks)
-        return self._stands(measured[-1], None if given is None else given[-1])
+        return self._standstill_fault(measured[-1], None if reference is None else reference[-1])
 
-    def _stands(self, measured: np.ndarray, given: np.ndarray | None) -> str | None:
+    def _standstill_fault(self, measured: np.ndarray, reference: np.ndarray | None) -> str | None:
         """Why an arm that is now at these positions (n,) may not stand, if it seems to stand."""
         at = f"{self._last - self._began:.2f} s into the motion"
         if (joint := self._stuck.contradicting_joint()) is not None:
@@ -172,20 +173,20 @@ class Adherence:
                 f"{at} the speed of {self._robot.joint_names[joint]} says that it moves, its positions do not change: "
                 f"what the controller sends cannot be trusted; {_FAULT}"
             )
-        crept, position, allowed = self._stuck.advance(), given, SET_POINTS
+        crept, position, allowed = self._stuck.advance(), reference, SET_POINTS
         if position is None:
             position, allowed = measured, MEASURED
-        ways = self._first + np.flatnonzero(self._fits)
-        nearest = ways[np.argmin(self._path.distances(position, ways))]
+        points = self._first + np.flatnonzero(self._fits)
+        nearest = points[np.argmin(self._path.distances(position, points))]
         slowest = float(self._path.slowest[self._path.rows[nearest]])
-        if crept is None or not crept <= CREEPS * FROZEN * max(slowest, allowed.resting):
+        if crept is None or not crept <= FROZEN_SHARE * FREEZE_WINDOW * max(slowest, allowed.resting):
             self._stands_since = np.nan
             return None
         if np.isnan(self._stands_since):
             self._stands_since = self._last
-        stops = self._path.stops[(self._path.stops >= ways[0]) & (self._path.stops <= ways[-1])]
-        near = stops[self._near(position[None], allowed, stops, SMALLEST_MARGIN)[0]] if len(stops) else stops
-        if len(near) == 0:
+        stops = self._path.stops[(self._path.stops >= points[0]) & (self._path.stops <= points[-1])]
+        close = stops[self._near(position[None], allowed, stops, SMALLEST_MARGIN)[0]] if len(stops) else stops
+        if len(close) == 0:
             return (
                 f"{at} the positions stand still where the plan does not stop: the arm was halted, or what the "
                 f"controller sends is frozen; {_FAULT}"
@@ -194,57 +195,59 @@ class Adherence:
             return None
         return f"{at} the arm has stood for more than {self._longest_rest:.1f} s at a stop of its program; {_FAULT}"
 
-    def _judge(self, time: np.ndarray, measured: np.ndarray, given: np.ndarray | None) -> str | None:
+    def _judge(self, time: np.ndarray, measured: np.ndarray, reference: np.ndarray | None) -> str | None:
         """As `take`, for samples without NaN."""
         path, first, last = self._path, self._first, self._first + len(self._fits) - 1
-        what, leading, allowed = ("position", measured, MEASURED) if given is None else ("set-point", given, SET_POINTS)
+        quantity, leading, allowed = (
+            ("position", measured, MEASURED) if reference is None else ("set-point", reference, SET_POINTS)
+        )
         passed = np.maximum(np.diff(time, prepend=self._last), 0.0)
         # Who knows how far it went while samples were lost: as far as it may in that time.
         ahead = np.minimum(AHEAD * passed, (1 + SHARE) * passed + ALLOWANCE)
-        ways = np.arange(first, path.place_at(path.when[last] + float(ahead.sum()) + len(time) * path.step) + 1)
-        fits, speed = self._fitting(what, leading, allowed, time, ways)
-        reached = np.zeros(len(ways), dtype=bool)
+        points = np.arange(first, path.index_at(path.plan_time[last] + float(ahead.sum()) + len(time) * path.step) + 1)
+        fits, speed = self._fitting(quantity, leading, allowed, time, points)
+        reached = np.zeros(len(points), dtype=bool)
         reached[: len(self._fits)] = self._fits
         firsts, lasts, reached = path.match_samples(fits, reached, first, passed, ahead, GAP, ALLOWANCE)
         if (k := len(firsts)) != len(time):
-            return self._wrong(what, leading[k], speed[k], allowed, time[k], ways[reached])
+            return self._misfit_text(quantity, leading[k], speed[k], allowed, time[k], points[reached])
         self._first, self._fits = int(firsts[-1]), reached[firsts[-1] - first : lasts[-1] - first + 1]
-        if given is not None:
+        if reference is not None:
             reason = self._follow(measured, time, firsts, lasts)
             if reason is not None:
                 return reason
         moving = np.any(speed > allowed.resting * self._robot.max_velocity, axis=1)
-        return self._pace(time, passed, moving, self._seen if given is None else path.when)
+        return self._pace(time, passed, moving, self._visible_time if reference is None else path.plan_time)
 
     def _follow(self, measured: np.ndarray, time: np.ndarray, firsts: np.ndarray, lasts: np.ndarray) -> str | None:
         """Whether the measured positions match the set-points, or earlier ones."""
         path = self._path
-        begin = path.place_at(path.when[firsts] - LAG)
-        end = path.place_at(path.when[lasts] + LEAD)
-        ways = np.arange(begin.min(), end.max() + 1)
-        fits, speed = self._fitting("position", measured, MEASURED, time, ways)
-        fits &= (ways >= begin[:, None]) & (ways <= end[:, None])
+        begin = path.index_at(path.plan_time[firsts] - LAG)
+        end = path.index_at(path.plan_time[lasts] + LEAD)
+        points = np.arange(begin.min(), end.max() + 1)
+        fits, speed = self._fitting("position", measured, MEASURED, time, points)
+        fits &= (points >= begin[:, None]) & (points <= end[:, None])
         if fits.any(axis=1).all():
             return None
         k = int(np.argmin(fits.any(axis=1)))
-        return self._wrong("position", measured[k], speed[k], MEASURED, time[k], np.arange(begin[k], end[k] + 1))
+        return self._misfit_text("position", measured[k], speed[k], MEASURED, time[k], np.arange(begin[k], end[k] + 1))
 
     def _fitting(
-        self, what: str, positions: np.ndarray, allowed: Tolerance, time: np.ndarray, ways: np.ndarray
+        self, quantity: str, positions: np.ndarray, allowed: Tolerance, time: np.ndarray, points: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Mask (K, W) of the path points `ways` (W,) that fit positions (K, n), and the speed (K, n) there."""
-        speed, over = self._speed(what, allowed.span, time, positions)
-        near, lost = self._near(positions, allowed, ways), (over > GAP)[:, None]
-        for of_joint, fastest in zip(speed.T, self._fastest(allowed, ways).T, strict=True):
+        """Mask (K, W) of the path's `points` (W,) that fit positions (K, n), and the speed (K, n) there."""
+        speed, interval = self._speed(quantity, allowed.span, time, positions)
+        near, lost = self._near(positions, allowed, points), (interval > GAP)[:, None]
+        for of_joint, fastest in zip(speed.T, self._fastest(allowed, points).T, strict=True):
             if not of_joint.max() <= fastest.min():
                 near &= (of_joint[:, None] <= fastest) | lost
         return near, speed
 
     def _near(
-        self, positions: np.ndarray, allowed: Tolerance, ways: np.ndarray, margin: float | None = None
+        self, positions: np.ndarray, allowed: Tolerance, points: np.ndarray, margin: float | None = None
     ) -> np.ndarray:
         """Mask (K, W) of path points that are close enough to positions (K, n); `margin` [m], if not the usual one."""
-        rows = self._path.rows[ways]
+        rows = self._path.rows[points]
         tool = self._dynamics.tcp_pose(positions)[:, :3, 3]
         margin = self._margin if margin is None else margin
         near = self._path.distance(tool, rows) <= margin + allowed.tool
@@ -255,75 +258,84 @@ class Adherence:
                 near &= np.abs(here[:, None] - there) <= within
         return near
 
-    def _fastest(self, allowed: Tolerance, ways: np.ndarray) -> np.ndarray:
+    def _fastest(self, allowed: Tolerance, points: np.ndarray) -> np.ndarray:
         """Highest speed (W, n) at path points."""
         path, limit = self._path, self._robot.max_velocity
-        rows = path.rows[ways]
+        rows = path.rows[points]
         return np.maximum((1 + allowed.faster) * path.speed[rows] + allowed.floor * limit, path.turning[rows])
 
-    def _wrong(
-        self, what: str, position: np.ndarray, speed: np.ndarray, allowed: Tolerance, when: float, ways: np.ndarray
+    def _misfit_text(
+        self,
+        quantity: str,
+        position: np.ndarray,
+        speed: np.ndarray,
+        allowed: Tolerance,
+        time: float,
+        points: np.ndarray,
     ) -> str:
-        """Why none of the path points `ways` fits a position (n,) with a speed (n,)."""
-        near = self._near(position[None], allowed, ways)[0]
-        at = f"{when - self._began:.2f} s into the motion"
+        """Why none of the path's `points` fits a position (n,) with a speed (n,)."""
+        near = self._near(position[None], allowed, points)[0]
+        at = f"{time - self._began:.2f} s into the motion"
         if not near.any():
-            row = int(self._path.rows[ways[np.argmin(self._path.distances(position, ways))]])
-            return f"{at} {self._place_of(what, position, row, allowed)}"
-        limit, fastest = self._robot.max_velocity, self._fastest(allowed, ways[near])
+            row = int(self._path.rows[points[np.argmin(self._path.distances(position, points))]])
+            return f"{at} {self._deviation_text(quantity, position, row, allowed)}"
+        limit, fastest = self._robot.max_velocity, self._fastest(allowed, points[near])
         best = int(np.argmin(np.max((speed - fastest) / limit, axis=1)))
         joint = int(np.argmax((speed - fastest[best]) / limit))
+        name, unit = self._robot.joint_names[joint], self._unit(joint)
         return (
-            f"{at} the {what} of {self._robot.joint_names[joint]} goes at {speed[joint]:.3g} {self._unit(joint)}/s, no "
-            f"more than {self._path.speed[self._path.rows[ways[near][best]], joint]:.3g} was planned around there: "
+            f"{at} the {quantity} of {name} goes at {speed[joint]:.3g} {unit}/s, no "
+            f"more than {self._path.speed[self._path.rows[points[near][best]], joint]:.3g} was planned around there: "
             f"{_LOOK}"
         )
 
-    def _place_of(self, what: str, position: np.ndarray, row: int, allowed: Tolerance) -> str:
+    def _deviation_text(self, quantity: str, position: np.ndarray, row: int, allowed: Tolerance) -> str:
         """Text that names the joint, its distance and where it is."""
         q = self._path.q[row]
         tool = float(np.linalg.norm(self._dynamics.tcp_pose(position[None])[0, :3, 3] - self._path.tool[row]))
         joint = int(np.argmax(np.abs(position - q) * self._path.levers))
         name, unit = self._robot.joint_names[joint], self._unit(joint)
         if np.all(np.abs(np.radians(position) - q) <= allowed.joint):
-            return f"each {what} fits the plan in degrees, where radians are expected: check the unit of the link"
+            return f"each {quantity} fits the plan in degrees, where radians are expected: check the unit of the link"
         x, y, z = self._path.tool[row]
         most = 1000 * (self._margin + allowed.tool)
         return (
-            f"the {what} of {name} is {position[joint]:.3f} {unit}, {position[joint] - q[joint]:+.3f} {unit} off the "
-            f"planned path; the tool is {1000 * tool:.0f} mm from it, {most:.0f} mm are "
+            f"the {quantity} of {name} is {position[joint]:.3f} {unit}, {position[joint] - q[joint]:+.3f} {unit} off "
+            f"the planned path; the tool is {1000 * tool:.0f} mm from it, {most:.0f} mm are "
             f"allowed, near x {x:.3f}, y {y:.3f}, z {z:.3f} m: {_LOOK}"
         )
 
-    def _speed(self, what: str, span: float, time: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _speed(
+        self, quantity: str, span: float, time: np.ndarray, positions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(K, n) |speed| over the `span` [s] before each sample, and (K,) the length of that [s]."""
-        times, was = self._recent.get(what, (time[:0], positions[:0]))
-        times, was = np.concatenate([times, time]), np.concatenate([was, positions])
+        times, recent = self._recent.get(quantity, (time[:0], positions[:0]))
+        times, recent = np.concatenate([times, time]), np.concatenate([recent, positions])
         now = np.arange(len(times) - len(time), len(times))
         since = np.maximum(np.searchsorted(times, time - span, side="right") - 1, 0)
         # Over a shorter way, at first, the noise of a position counts for as much as over a whole one.
-        over = np.maximum(times[now] - times[since], span)
+        interval = np.maximum(times[now] - times[since], span)
         keep = slice(int(since[-1]), None)
-        self._recent[what] = times[keep], was[keep]
-        return np.abs(was[now] - was[since]) / over[:, None], over
+        self._recent[quantity] = times[keep], recent[keep]
+        return np.abs(recent[now] - recent[since]) / interval[:, None], interval
 
-    def _pace(self, time: np.ndarray, passed: np.ndarray, moving: np.ndarray, seen: np.ndarray) -> str | None:
+    def _pace(self, time: np.ndarray, passed: np.ndarray, moving: np.ndarray, visible_time: np.ndarray) -> str | None:
         """Whether the motion took the planned time, and where the arm is now.
 
-        Of the planned time (P,) up to each point, `seen` (P,) is what has to be seen as motion: a long slow move begins
-        and ends so slowly that noise says whether it moves.
+        Of the planned time (P,) up to each point, `visible_time` (P,) is what has to be seen as motion: a long slow
+        move begins and ends so slowly that noise says whether it moves.
         """
         self._moved += float(np.sum(passed[moving]))
         self._last = float(time[-1])
         ends = [self._first, self._first + len(self._fits) - 1]
-        places = np.stack([seen[ends], self._path.when[ends]])  # the least and the most that may have been seen
+        bounds = np.stack([visible_time[ends], self._path.plan_time[ends]])  # the least and the most it may have moved
         if not passed.max() <= GAP:  # samples were lost: who knows whether it moved in between
-            self._mark = self._moved, places.mean(axis=1)
+            self._mark = self._moved, bounds.mean(axis=1)
         took = self._moved - self._mark[0]
-        planned = float(np.clip(took, places[0, 0] - self._mark[1][0], places[1, 1] - self._mark[1][1]))
+        planned = float(np.clip(took, bounds[0, 0] - self._mark[1][0], bounds[1, 1] - self._mark[1][1]))
         if abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned):
-            if planned > WAY:
-                self._mark = self._moved, np.clip(self._mark[1] + took, *places.T)
+            if planned > RESYNC_AFTER:
+                self._mark = self._moved, np.clip(self._mark[1] + took, *bounds.T)
             return None
         return (
             f"{self._last - self._began:.2f} s into the motion: what was planned to take {max(planned, 0.0):.1f} s "

@@ -8,9 +8,9 @@ import numpy as np
 
 #: No sample is older when it is judged than the watchdog of its link, but for what a busy computer keeps a process
 #: waiting [s], and the samples that a link hands out at once.
-WAITS, BATCH = 0.2, 10
+PROCESS_STALL, SAMPLES_AT_ONCE = 0.2, 10
 #: The first samples of a motion may come later than the others by this [s]: the controller was still planning.
-HELD_UP = 0.3
+FIRST_SAMPLE_DELAY = 0.3
 #: No more than this [s] of the time in which this process stood still is excused.
 EXCUSED = 0.5
 #: Two clocks that are both right differ by no more than this part of the time that passes.
@@ -31,7 +31,7 @@ class Freshness:
     """
 
     def __init__(self, period: float, watchdog: float, clock: Callable[[], float]) -> None:
-        self.oldest = watchdog + max(WAITS, BATCH * period)
+        self.oldest = watchdog + max(PROCESS_STALL, SAMPLES_AT_ONCE * period)
         self._clock = clock
         self._since = clock()
         self._begun = True
@@ -51,7 +51,7 @@ class Freshness:
         """A block was judged; `newest` is the controller time [s] of its last sample."""
         now = self._clock()
         if self._newest is None:
-            self._offset, self._least = now - newest, now - newest - HELD_UP
+            self._offset, self._least = now - newest, now - newest - FIRST_SAMPLE_DELAY
         else:
             drift = DRIFT * (now - self._since)
             self._least += drift
@@ -74,12 +74,12 @@ class Freshness:
         """Why the arm has to stop now, if it has to; `excused` seconds passed while nobody could look at anything."""
         silent = self.silent - excused
         if self._newest is None:
-            late = self._begun and not silent <= self.oldest + HELD_UP
+            late = self._begun and not silent <= self.oldest + FIRST_SAMPLE_DELAY
             return f"no sample came within {silent:.1f} s of the start" if late else None
         age = self.age - excused
         if age <= self.oldest:
             return None
-        what = "no sample came for" if not silent < WAITS else "samples were late by"
+        what = "no sample came for" if not silent < PROCESS_STALL else "samples were late by"
         return (
             f"{what} {age:.2f} s, {self.oldest:.2g} s are allowed. The link is slower than the controller samples, "
             "or this computer has too much else to do"

@@ -31,7 +31,7 @@ from agent.safety.preconditions import (
     confirm_clear_cell,
     reported_position,
 )
-from agent.safety.stopping import ANSWERED
+from agent.safety.stopping import STOP_ANSWER_TIMEOUT
 from agent.safety.watch import MotionWatch
 from drivers.errors import DriverError, RefusedError
 from drivers.protocol import (
@@ -265,12 +265,12 @@ class GuardedLink:
             self._driver.start(program.name, program.checksum)
         except DriverError as error:
             if isinstance(error, RefusedError):
-                watch.settle(ANSWERED)
+                watch.settle(STOP_ANSWER_TIMEOUT)
                 if watch.stopping.since is None:
                     raise
             watch.stopped = True  # what came of that is kept, and judged
             watch.stopping.request()
-            watch.stopping.wait(ANSWERED)
+            watch.stopping.wait(STOP_ANSWER_TIMEOUT)
             return error
         return None
 
@@ -342,8 +342,8 @@ class GuardedLink:
                 with suppress(Exception):  # a disk that is full, most likely: the arm is followed all the same
                     keep(block)
         if watch.stopping.disobeyed and not isinstance(error, SafetyError):
-            raise SafetyError(f"{self.address}: {watch.stopping.seen}") from error
-        if not (error is None or isinstance(error, Exception) or watch.stopping.seen):  # somebody ended the program
+            raise SafetyError(f"{self.address}: {watch.stopping.failure}") from error
+        if not (error is None or isinstance(error, Exception) or watch.stopping.failure):  # somebody ended the program
             self._warn(f"{self.address}: the arm was stopped and stands; the log of this motion ends here")
 
     @contextmanager

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 #: Limits of a motion's duration: ratio to the plan, time at each stop [s], and time before and after the motion [s].
 SLOWER, SETTLING, WAITING = 1.25, 3.0, 10.0
 #: An approach shorter than this [rad, m] is where the arm rests off its set-point; the controller makes none.
-THERE = 1e-3
+ARRIVED_WITHIN = 1e-3
 
 
 def is_standstill(chain: Trajectory) -> bool:
     """Whether a stretch moves too little for a controller to make it."""
-    return bool(np.ptp(chain.q, axis=0).max() < THERE)
+    return bool(np.ptp(chain.q, axis=0).max() < ARRIVED_WITHIN)
 
 
 def standstill_plan(position: np.ndarray) -> Trajectory:

@@ -31,7 +31,7 @@ _STEPS = 8  # of a span along the way
 class ReferencePath:
     """P points of the path in order. Each is a row of one of the different stretches, so that a cycle is stored once.
 
-    rows (P,) and when (P,): row of each point, and motion time up to it, without pauses [s].
+    rows (P,) and plan_time (P,): row of each point, and motion time up to it, without pauses [s].
     q (S, n) and tool (S, 3) [m]: joint positions and tool position per row.
     reach (S, n): joint motion if the tool leaves the path by the margin, or a blend turns the tool earlier or later.
     speed (S, n): highest speed around the row.
@@ -42,7 +42,7 @@ class ReferencePath:
     """
 
     rows: np.ndarray
-    when: np.ndarray
+    plan_time: np.ndarray
     q: np.ndarray
     tool: np.ndarray
     reach: np.ndarray
@@ -61,10 +61,10 @@ class ReferencePath:
         """
         different = {id(chain): chain for chain in chains}
         first_row = dict(zip(different, np.cumsum([0, *(len(chain.t) for chain in different.values())]), strict=False))
-        rows, when, passed = [], [], 0.0
+        rows, plan_times, passed = [], [], 0.0
         for chain in chains:
             rows.append(first_row[id(chain)] + np.arange(len(chain.t)))
-            when.append(passed + chain.t - chain.t[0])
+            plan_times.append(passed + chain.t - chain.t[0])
             passed += chain.duration
         parts = [_along(chain, dynamics, margin, limits) for chain in different.values()]
         q, tool, reach, speed, pace, slowest = (
@@ -73,19 +73,19 @@ class ReferencePath:
         levers = np.max([part[6] for part in parts], axis=0)
         ends = np.cumsum([len(chain.t) for chain in chains])
         stops = np.unique([0, *(ends - 1), *ends[:-1]])
-        times = np.concatenate(when)
-        step = float(np.max(np.diff(times), initial=0.0))
-        return cls(np.concatenate(rows), times, q, tool, reach, speed, pace / levers, slowest, stops, levers, step)
+        plan_time = np.concatenate(plan_times)
+        step = float(np.max(np.diff(plan_time), initial=0.0))
+        return cls(np.concatenate(rows), plan_time, q, tool, reach, speed, pace / levers, slowest, stops, levers, step)
 
     def moving(self, slowest: np.ndarray) -> np.ndarray:
         """(P,) motion time up to each point [s] in which a joint is planned to be faster than `slowest` (n,)."""
-        lasts = np.diff(self.when, prepend=0.0)
-        way = np.abs(np.diff(self.q[self.rows], axis=0, prepend=self.q[self.rows[:1]]))
-        return np.cumsum(lasts * np.any(~(way <= slowest * lasts[:, None]), axis=1))
+        lasts = np.diff(self.plan_time, prepend=0.0)
+        steps = np.abs(np.diff(self.q[self.rows], axis=0, prepend=self.q[self.rows[:1]]))
+        return np.cumsum(lasts * np.any(~(steps <= slowest * lasts[:, None]), axis=1))
 
-    def place_at(self, when: Any) -> Any:
-        """Index, in the shape of `when`, of the last point that is no later than a time [s] of the plan."""
-        return np.clip(np.searchsorted(self.when, when, side="right") - 1, 0, len(self.when) - 1)
+    def index_at(self, time: Any) -> Any:
+        """Index, in the shape of `time`, of the last point that is no later than a time [s] of the plan."""
+        return np.clip(np.searchsorted(self.plan_time, time, side="right") - 1, 0, len(self.plan_time) - 1)
 
     def match_samples(
         self,
@@ -104,18 +104,18 @@ class ReferencePath:
         one that fits nowhere, and the points (W,) that the last sample reached, or that the misfit could have reached.
         """
         firsts, lasts = np.zeros((2, len(fits)), dtype=int)
-        when: list[float] = self.when[first : first + len(reached)].tolist()
+        times: list[float] = self.plan_time[first : first + len(reached)].tolist()
         begin, end = _ends(fits)
         one_run = fits.sum(axis=1) == end - begin
         (low,), (high,) = (edge.tolist() for edge in _ends(reached[None]))
         whole = bool(reached[low:high].all())
         for k in range(len(fits)):
             if whole and one_run[k]:  # nearly always; then the edges say everything
-                beyond = bisect.bisect_right(when, when[high - 1] + ahead[k] + self.step)
-                places = slice(max(low, int(begin[k])), min(beyond, int(end[k])))
-                if not places.start < places.stop:
+                beyond = bisect.bisect_right(times, times[high - 1] + ahead[k] + self.step)
+                window = slice(max(low, int(begin[k])), min(beyond, int(end[k])))
+                if not window.start < window.stop:
                     return firsts[:k], lasts[:k], _run(low, beyond, len(reached))
-                low, high = places.start, places.stop
+                low, high = window.start, window.stop
             else:
                 reached = _run(low, high, len(reached)) if whole else reached
                 onward = self.onward(reached, first, ahead[k])
@@ -123,7 +123,7 @@ class ReferencePath:
                 if not reached.any():
                     return firsts[:k], lasts[:k], onward
                 if passed[k] > gap:  # in this cycle or in a later one: where it would be at its pace
-                    reached = self.runs_near(reached, first, passed[k] + when[high - 1], within)
+                    reached = self.runs_near(reached, first, passed[k] + times[high - 1], within)
                 (low,), (high,) = (edge.tolist() for edge in _ends(reached[None]))
                 whole = bool(reached[low:high].all())
             firsts[k], lasts[k] = first + low, first + high - 1
@@ -131,30 +131,30 @@ class ReferencePath:
 
     def onward(self, reached: np.ndarray, first: int, ahead: float) -> np.ndarray:
         """Mask (W,), from point `first` on, of points up to a step and `ahead` [s] after a `reached` (W,) point."""
-        when = self.when[first : first + len(reached)]
-        latest = np.maximum.accumulate(np.where(reached, when, -np.inf))
-        return when <= latest + ahead + self.step
+        times = self.plan_time[first : first + len(reached)]
+        latest = np.maximum.accumulate(np.where(reached, times, -np.inf))
+        return times <= latest + ahead + self.step
 
     def runs_near(self, reached: np.ndarray, first: int, expected: float, within: float) -> np.ndarray:
         """Mask (W,), from point `first` on, of the run of `reached` (W,) points that is nearest to `expected` [s].
 
         Runs that are at most `within` [s] farther away are included.
         """
-        near = np.flatnonzero(reached)
-        runs = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
-        away = [float(np.min(np.abs(self.when[first + run] - expected))) for run in runs]
+        indices = np.flatnonzero(reached)
+        runs = np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
+        distances = [float(np.min(np.abs(self.plan_time[first + run] - expected))) for run in runs]
         chosen = np.zeros_like(reached)
-        for run, off in zip(runs, away, strict=True):
-            chosen[run] = off <= min(away) + within
+        for run, distance in zip(runs, distances, strict=True):
+            chosen[run] = distance <= min(distances) + within
         return chosen
 
     def distance(self, tool: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Distances (K, W) [m] from tool positions (K, 3) to those of rows (W,)."""
         return cdist(tool, self.tool[rows])
 
-    def distances(self, position: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def distances(self, position: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Distances (W,) [m] from a joint position (n,) to each of the points, all joints together."""
-        return np.linalg.norm((self.q[self.rows[places]] - position) * self.levers, axis=1)
+        return np.linalg.norm((self.q[self.rows[points]] - position) * self.levers, axis=1)
 
 
 def _ends(masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -178,27 +178,27 @@ def _along(chain: Trajectory, dynamics: Dynamics, margin: float, limits: np.ndar
     inverse = turned @ np.linalg.inv(jacobian @ turned + DAMPING**2 * np.eye(6))
     reach = margin * np.linalg.norm(inverse[:, :, :3], axis=2)
     point = dynamics.tcp_pose(chain.q)[:, :3, 3]
-    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))))
+    travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))))
     nearest = np.minimum((np.arange(len(chain.t)) + _EVERY // 2) // _EVERY, len(some) - 1)
     period = chain.duration / max(1, len(chain.t) - 1)
     width = 1 + 2 * (round(AROUND / period) if period > 0 else 0)
     speed = maximum_filter1d(np.abs(chain.qd), min(width, 2 * len(chain.t) + 1), axis=0, mode="nearest")
     levers = np.maximum(np.linalg.norm(jacobian[:, :3], axis=1).max(axis=0), SHORTEST_LEVER)
     span = BLEND * margin
-    speed = np.maximum(speed, _highest(np.abs(chain.qd), way, span))
-    turned_by = np.maximum(_highest(chain.q, way, span) - chain.q, chain.q + _highest(-chain.q, way, span))
-    pace = _highest(np.gradient(way, period)[:, None], way, span) if period > 0 else np.zeros((1, 1))
+    speed = np.maximum(speed, _highest(np.abs(chain.qd), travelled, span))
+    turned_by = np.maximum(_highest(chain.q, travelled, span) - chain.q, chain.q + _highest(-chain.q, travelled, span))
+    pace = _highest(np.gradient(travelled, period)[:, None], travelled, span) if period > 0 else np.zeros((1, 1))
     fastest = np.max(np.abs(chain.qd) / limits, axis=1)
     slowest = minimum_filter1d(fastest, min(width, 2 * len(chain.t) + 1), mode="nearest")
     return chain.q, point, reach[nearest] + turned_by, speed, pace, slowest, levers
 
 
-def _highest(values: np.ndarray, way: np.ndarray, span: float) -> np.ndarray:
+def _highest(values: np.ndarray, travelled: np.ndarray, span: float) -> np.ndarray:
     """Highest of values (S, n) within `span` [m] along the path (S,)."""
     from scipy.ndimage import maximum_filter1d
 
     step = span / _STEPS
-    grid = np.append(np.arange(0.0, way[-1], step), way[-1])
-    on_grid = np.stack([np.interp(grid, way, column) for column in values.T], axis=1)
+    grid = np.append(np.arange(0.0, travelled[-1], step), travelled[-1])
+    on_grid = np.stack([np.interp(grid, travelled, column) for column in values.T], axis=1)
     highest = maximum_filter1d(on_grid, 2 * _STEPS + 1, axis=0, mode="nearest")
-    return np.maximum(values, highest[np.clip(np.rint(way / step).astype(int), 0, len(grid) - 1)])
+    return np.maximum(values, highest[np.clip(np.rint(travelled / step).astype(int), 0, len(grid) - 1)])

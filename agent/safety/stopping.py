@@ -21,23 +21,23 @@ if TYPE_CHECKING:
     from agent.robot import RobotDescription
 
 #: Duration over which a speed is measured [s].
-SPAN = 0.1
+SPEED_WINDOW = 0.1
 #: No joint of an arm that stands is faster than this part of its limit.
-STILL = 0.01
+STATIONARY_SHARE = 0.01
 #: An arm that brakes has less than this part of its speed left when that is asked, and has not regained that part of
 #: it: one that disobeys slows down too, where its path has a corner.
 BRAKING, REGAINED = 0.8, 0.25
 #: Time after a stop [s] at which an arm that does not brake gets a second one, and at which the link is closed. An arm
 #: that takes 0.1 s to react and 1.2 s to stop has lost a fifth of its speed by then, seen 0.2 s late.
-AGAIN, LET_GO = 0.3, 0.6
+RESEND_AFTER, CLOSE_LINK_AFTER = 0.3, 0.6
 #: Samples and states that are older [s] do not show what the arm does now.
-RECENT = 0.3
+MAX_SAMPLE_AGE = 0.3
 #: Longest wait [s] for the answer to a stop.
-ANSWERED = 1.0
+STOP_ANSWER_TIMEOUT = 1.0
 #: Time after a stop [s] by which the arm has to stand, or the link is closed.
-STANDS = 4.0
+STANDSTILL_DEADLINE = 4.0
 #: Duration of standstill [s] after which a motion is over even if the controller never reports its end.
-NO_END = 2.0
+MISSING_END_AFTER = 2.0
 _LOOKS = 20  # at the state, once the samples have ended
 
 
@@ -63,20 +63,20 @@ class Braking:
 
     def take(self, times: np.ndarray, positions: np.ndarray) -> None:
         """Measured positions (K, n) at times (K,) [s] of one clock."""
-        if len(self._times) and not 0.0 <= times[0] - self._times[-1] <= 10 * SPAN:
+        if len(self._times) and not 0.0 <= times[0] - self._times[-1] <= 10 * SPEED_WINDOW:
             self.forget()
         self._times = np.concatenate([self._times, times])
         self._positions = np.concatenate([self._positions, positions])
-        first = max(0, int(np.searchsorted(self._times, self._times[-1] - SPAN, side="right")) - 1)
+        first = max(0, int(np.searchsorted(self._times, self._times[-1] - SPEED_WINDOW, side="right")) - 1)
         self._times, self._positions = self._times[first:], self._positions[first:]
         passed = float(self._times[-1] - self._times[0])
-        if passed >= SPAN / 2:
-            way = np.ptp(self._positions, axis=0)
-            self.speed = float(np.max(way / self._limit)) / passed
+        if passed >= SPEED_WINDOW / 2:
+            travelled = np.ptp(self._positions, axis=0)
+            self.speed = float(np.max(travelled / self._limit)) / passed
             if self.before is not None:
                 self._least, self._most = min(self._least, self.speed), max(self._most, self.speed)
                 self._least_since_most = min(self._least_since_most, self.speed) if self.speed < self._most else np.inf
-            if not self.speed <= STILL:
+            if not self.speed <= STATIONARY_SHARE:
                 self._still_since = None
             elif self._still_since is None:
                 self._still_since = float(self._times[0])
@@ -138,7 +138,7 @@ class Stopping:
         self._freshness = freshness
         self._clock = clock
         self._warn = warn
-        self._sampled, self._stated = Braking(robot.max_velocity), Braking(robot.max_velocity, np.inf)
+        self._from_samples, self._from_status = Braking(robot.max_velocity), Braking(robot.max_velocity, np.inf)
         self._lock = threading.RLock()
         self._sent: list[threading.Thread] = []
         self._look: Future[None] = Future()
@@ -151,7 +151,7 @@ class Stopping:
         #: When the stop was asked for, by our clock [s]; None before.
         self.since: float | None = None
         #: What was seen of the arm where it is not known to stand; the link is closed then.
-        self.seen = ""
+        self.failure = ""
         #: Whether the arm was seen to move on.
         self.disobeyed = False
 
@@ -159,46 +159,46 @@ class Stopping:
         """Ask for a stop, once; returns at once."""
         with self._lock:
             if self.since is None:
-                self._sampled.before = self._stated.before = self._sampled.speed
+                self._from_samples.before = self._from_status.before = self._from_samples.speed
                 self.since = self._clock()
                 self._send()
 
     def take(self, block: SampleBlock) -> None:
         """Samples of the motion, before the stop and after it."""
         with self._lock:
-            self._sampled.take(block.time, block.position)
+            self._from_samples.take(block.time, block.position)
 
     def poll(self, stalled: float = 0.0) -> None:
         """Look at the arm, some times a second from the request on; this process stood still for `stalled` [s]."""
         with self._lock:  # or the stop may end between the look and what follows it
-            if self.since is None or self.over or self.seen:
+            if self.since is None or self.over or self.failure:
                 return
             self._excused = min(self._excused + stalled, EXCUSED)
             passed = self._clock() - self.since - self._excused
-            if not self._shown:
+            if not self._samples_are_current:
                 self._look_at_state()
             if self._braking.is_stationary:
-                self._end_without_a_word()
-            elif len(self._sent) == 1 and not (passed < AGAIN or self._braking.is_braking):
+                self._end_unreported()
+            elif len(self._sent) == 1 and not (passed < RESEND_AFTER or self._braking.is_braking):
                 self._send()
-            elif not passed < (STANDS if self._braking.is_braking else LET_GO):
-                self._let_go(f"{passed:.1f} s after the stop")
+            elif not passed < (STANDSTILL_DEADLINE if self._braking.is_braking else CLOSE_LINK_AFTER):
+                self._declare_failure(f"{passed:.1f} s after the stop")
 
     def finish(self, failed: bool) -> None:
         """The samples have ended; `failed`: with the link. The state tells whether the arm stands where they do not."""
-        self.over = bool(self.seen) or (self._shown and self._sampled.is_stationary)
+        self.over = bool(self.failure) or (self._samples_are_current and self._from_samples.is_stationary)
         self._ended = True
         for _ in range(0 if self.over or failed else _LOOKS):
             with self._lock:
                 self._look_at_state()
             if self._braking.is_stationary:
                 break
-            threading.Event().wait(SPAN / 2)
+            threading.Event().wait(SPEED_WINDOW / 2)
         with self._lock:
-            if not (self.over or failed or self._braking.is_stationary or self.seen):
-                self._let_go("after the controller reported the end of the motion")
+            if not (self.over or failed or self._braking.is_stationary or self.failure):
+                self._declare_failure("after the controller reported the end of the motion")
             self.over = True
-        self.wait(ANSWERED)
+        self.wait(STOP_ANSWER_TIMEOUT)
 
     def wait(self, limit: float) -> None:
         """Wait until the stop was carried out, `limit` seconds at most."""
@@ -207,16 +207,20 @@ class Stopping:
 
     @property
     def _braking(self) -> Braking:
-        return self._sampled if self._shown else self._stated
+        return self._from_samples if self._samples_are_current else self._from_status
 
     @property
-    def _shown(self) -> bool:
+    def _samples_are_current(self) -> bool:
         """Whether samples tell what the arm does now, and not what it did before the stop could act."""
-        return not self._ended and self._freshness.age <= RECENT
+        return not self._ended and self._freshness.age <= MAX_SAMPLE_AGE
 
-    def _end_without_a_word(self) -> None:
-        if not self._braking.stationary_time < NO_END and (self._shown or not self._freshness.silent < LET_GO):
-            self.seen = "the arm stands, but the controller does not report the end of the motion; the link was closed"
+    def _end_unreported(self) -> None:
+        if not self._braking.stationary_time < MISSING_END_AFTER and (
+            self._samples_are_current or not self._freshness.silent < CLOSE_LINK_AFTER
+        ):
+            self.failure = (
+                "the arm stands, but the controller does not report the end of the motion; the link was closed"
+            )
             self._close()
 
     def _send(self) -> None:
@@ -229,17 +233,17 @@ class Stopping:
             self._driver.stop()
         except Exception as error:  # any error: the other way to stop remains
             with self._lock:
-                if number == len(self._sent) and not (self.seen or self.over):
+                if number == len(self._sent) and not (self.failure or self.over):
                     self._give_up(
                         f"the stop was not confirmed ({error}); the link was closed, which stops an arm whose "
                         "controller has a watchdog. Go and look at it"
                     )
 
-    def _let_go(self, when: str) -> None:
+    def _declare_failure(self, when: str) -> None:
         speed, age = self._braking.speed, self._freshness.age
         # Where samples come late, the state may be as old: it shows rest, but accuses nobody.
-        late = not (self._shown or self._ended or self._freshness.silent > RECENT)
-        known = self._shown or (self._clock() - self._state_at <= RECENT and not late)
+        late = not (self._samples_are_current or self._ended or self._freshness.silent > MAX_SAMPLE_AGE)
+        known = self._samples_are_current or (self._clock() - self._state_at <= MAX_SAMPLE_AGE and not late)
         if speed is None or not known:
             newest = f"the newest sample is {age:.1f} s old" if np.isfinite(age) else "no sample came"
             self._give_up(
@@ -255,18 +259,18 @@ class Stopping:
             "EMERGENCY STOP NOW"
         )
 
-    def _give_up(self, seen: str) -> None:
-        self.seen = seen
-        self._warn(f"{self._address}: {seen}")
+    def _give_up(self, failure: str) -> None:
+        self.failure = failure
+        self._warn(f"{self._address}: {failure}")
         self._close()
 
     def _close(self) -> None:
-        threading.Thread(target=self._driver.close, name="let go", daemon=True).start()
+        threading.Thread(target=self._driver.close, name="close link", daemon=True).start()
 
     def _look_at_state(self) -> None:
         """Ask for the state, one question at a time."""
         if self._look.done():
-            self._look = run_in_thread("eyes", self._take_state, self._clock())
+            self._look = run_in_thread("state", self._take_state, self._clock())
 
     def _take_state(self, asked: float) -> None:
         """What the state says, which was asked for at a time [s] of our clock: it may be as old as that."""
@@ -277,7 +281,7 @@ class Stopping:
         with self._lock:
             if np.isfinite(position).all():
                 self._state_at = asked
-                self._stated.take(np.array([self._state_at]), position[None])
+                self._from_status.take(np.array([self._state_at]), position[None])
 
 
 def run_in_thread(name: str, task: Callable[[float], None], time: float) -> Future[None]:

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 #: Interval between two looks at the controller's state while the arm moves [s], of its time and of ours.
 WATCH_INTERVAL = 0.2
 #: Time before the end of its plan [s] at which a motion may end, where it does not wait for the arm to arrive.
-EARLY = 0.25
+EARLY_END_TOLERANCE = 0.25
 #: Interval between two questions for temperatures [s]: motors warm up slowly.
 TEMPERATURE_INTERVAL = 5.0
 #: Interval between two looks at age and stop [s], by a thread that nobody keeps waiting.
-TURN = 0.05
+POLL_INTERVAL = 0.05
 #: Time that the samples wait for an answer [s]; a later one counts when it comes.
-PROMPT = 0.05
+STATUS_WAIT = 0.05
 
 
 class MotionWatch:
@@ -75,7 +75,7 @@ class MotionWatch:
         self._asked: Future[None] = Future()  # the last look at the state
         self._asked.set_result(None)
         self._turned, self._excused = clock(), 0.0
-        self._sampled = False  # the last sample has come
+        self._samples_ended = False  # the last sample has come
         #: The end was asked for, so it comes before that of the plan.
         self.stopped = False
         self._settings: Mapping[str, str] = {}  # at the controller, when they were read last
@@ -126,7 +126,7 @@ class MotionWatch:
         self._started.set()
         while self._listener is not None and self._listener.is_alive():  # until its next block, which may never come
             yield from self._handed_out()
-            self._listener.join(TURN)
+            self._listener.join(POLL_INTERVAL)
         self.settle()
         yield from self._handed_out()
         if self._lost is not None:
@@ -162,7 +162,7 @@ class MotionWatch:
                         self._looked, self._looked_at = now, self._clock()
             except DriverError as error:
                 dropped = error
-            self._sampled = True
+            self._samples_ended = True
             self._asked.result()
             self._finish(dropped)
         self._raise_fault(dropped)
@@ -196,7 +196,7 @@ class MotionWatch:
         over = threading.Event()
 
         def watch() -> None:
-            while not over.wait(TURN):
+            while not over.wait(POLL_INTERVAL):
                 self.poll()
 
         thread = threading.Thread(target=watch, name="watch", daemon=True)
@@ -212,11 +212,11 @@ class MotionWatch:
         now = self._clock()
         # A stall of this whole process is no delay of the link: what came meanwhile is judged first, which takes time.
         passed, self._turned = now - self._turned, now
-        stalled = max(0.0, passed - 2 * TURN)
+        stalled = max(0.0, passed - 2 * POLL_INTERVAL)
         self._excused = min(self._excused + stalled, EXCUSED) if stalled else max(0.0, self._excused - passed)
         if self.stopping.since is not None:
             self.stopping.poll(stalled)
-        elif not self._sampled and (reason := self._freshness.fault(self._excused)) is not None:
+        elif not self._samples_ended and (reason := self._freshness.fault(self._excused)) is not None:
             self._blame(
                 ControllerError(
                     f"{self._address}: the arm was stopped, as nobody could watch it: {reason}; check the link, then "
@@ -273,14 +273,14 @@ class MotionWatch:
         """Why the motion did not end as planned, if it did not."""
         fault = self._fault
         known = isinstance(fault, SafetyError) and not isinstance(dropped, MotionStopped)
-        if dropped is not None and not (known or self.stopping.seen):
+        if dropped is not None and not (known or self.stopping.failure):
             raise dropped
         if fault is None and (reason := self._adherence.judge() or self._early(self._last)) is not None:
             fault = SafetyError(f"{self._address}: {reason}")
         if self.stopping.disobeyed:
-            raise SafetyError(f"{fault or self._address}; {self.stopping.seen}")
+            raise SafetyError(f"{fault or self._address}; {self.stopping.failure}")
         if fault is not None:
-            raise type(fault)(f"{fault}; {self.stopping.seen}" if self.stopping.seen else str(fault))
+            raise type(fault)(f"{fault}; {self.stopping.failure}" if self.stopping.failure else str(fault))
 
     def _overdue(self, block: SampleBlock, began: float) -> str | None:
         """Why to stop, where the motion has lasted too long: by the stamps of its samples, or by their number."""
@@ -298,10 +298,10 @@ class MotionWatch:
         What came after that may be lost; then the arm has to stand at the end of the plan.
         """
         remaining = 0.0 if self.stopped else self._adherence.remaining_time
-        if remaining <= EARLY:
+        if remaining <= EARLY_END_TOLERANCE:
             return None
         lost = self._period * sum(gap.count for gap in self._driver.gaps if gap.first > last)
-        if remaining <= EARLY + lost and self._adherence.ends_at(self._driver.status().position):
+        if remaining <= EARLY_END_TOLERANCE + lost and self._adherence.ends_at(self._driver.status().position):
             return None
         return (
             f"the controller says that the motion is over, {remaining:.1f} s before the end of its plan: look at the "
@@ -341,7 +341,7 @@ class MotionWatch:
         if self._asked.done():
             self._asked.result()
             self._asked = run_in_thread("state", self._judge_state, self._now)
-            wait([self._asked], PROMPT)
+            wait([self._asked], STATUS_WAIT)
 
     def _judge_state(self, now: float) -> None:
         try:

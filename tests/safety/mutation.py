@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TESTS = [
     *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/safety/test_guard*.py")),
     *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("tests/robot/test_cell*.py")),
-    "tests/safety/test_laying.py",
+    "tests/safety/test_sample_matching.py",
     "tests/link/test_frames_before_motion.py",
     "tests/shop_floor/test_authorisation.py",
 ]
@@ -65,22 +65,22 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
     "adherence.py": {
         "len(chains) > 1": "a count",
         "len(self._waiting) < _BLOCKS": "a count",
-        "float(block.time[-1]) - float(self._waiting[0].time[0]) < TOGETHER": "no number waits a little longer",
+        "float(block.time[-1]) - float(self._waiting[0].time[0]) < BATCH_DURATION": "no number waits a little longer",
         "np.diff(time, prepend=self._last) > GAP": "of times that are numbers",
-        "over > GAP": "of times that are numbers",
+        "interval > GAP": "of times that are numbers",
         "passed.max() <= GAP": "of times that are numbers",
         "np.abs(here[:, None] - there) <= within": "where the tool's distance is a number",
         "farthest <= within.min()": "the same",
-        "self._path.stops >= ways[0]": "indices",
-        "self._path.stops <= ways[-1]": "indices",
+        "self._path.stops >= points[0]": "indices",
+        "self._path.stops <= points[-1]": "indices",
         "self._last - self._stands_since <= self._longest_rest": "of times that are numbers",
         "self._path.distance(tool, rows) <= margin + allowed.tool": "where the joints' distances are numbers",
-        "ways >= begin[:, None]": "indices",
-        "ways <= end[:, None]": "indices",
+        "points >= begin[:, None]": "indices",
+        "points <= end[:, None]": "indices",
         "speed > allowed.resting * self._robot.max_velocity": "of positions that are numbers",
         "np.abs(np.radians(position) - q) <= allowed.joint": "of positions that are numbers",
         "abs(took - planned) <= ALLOWANCE + SHARE * min(took, planned)": "of times that are numbers",
-        "planned > WAY": "of times that are numbers",
+        "planned > RESYNC_AFTER": "of times that are numbers",
     },
     "authorisation.py": {
         "remaining <= _SOON": "dates",
@@ -100,43 +100,43 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "short.min(axis=1) >= 0": "of distances that were found to be numbers",
     },
     "freshness.py": {
-        "silent < WAITS": "chooses the words",
+        "silent < PROCESS_STALL": "chooses the words",
     },
-    "planned_program.py": {"np.ptp(chain.q, axis=0).max() < THERE": "of a plan that was checked"},
+    "planned_program.py": {"np.ptp(chain.q, axis=0).max() < ARRIVED_WITHIN": "of a plan that was checked"},
     "reference_path.py": {
         "passed[k] > gap": "of times that are numbers",
-        "np.diff(near) > 1": "indices",
-        "places.start < places.stop": "indices",
-        "off <= min(away) + within": "of times that are numbers",
+        "np.diff(indices) > 1": "indices",
+        "window.start < window.stop": "indices",
+        "distance <= min(distances) + within": "of times that are numbers",
         "period > 0": "of a plan that was checked",
-        "when <= latest + ahead + self.step": "of times that are numbers",
+        "times <= latest + ahead + self.step": "of times that are numbers",
     },
     "preconditions.py": {
         "np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE": "chooses the words"
     },
     "stuck_positions.py": {
         "len(self._blocks) > 1": "a count",
-        "self._blocks[1].time[0] <= self._blocks[-1].time[-1] - FROZEN": "of times that are numbers",
+        "self._blocks[1].time[0] <= self._blocks[-1].time[-1] - FREEZE_WINDOW": "of times that are numbers",
         "since >= 0": "an index",
         "np.max(np.diff(time[since:]), initial=0.0) <= self._gap": "of times that are numbers",
     },
     "stopping.py": {
-        "0.0 <= times[0] - self._times[-1] <= 10 * SPAN": "of times that are numbers",
-        "self._braking.stationary_time < NO_END": "of times that are numbers",
+        "0.0 <= times[0] - self._times[-1] <= 10 * SPEED_WINDOW": "of times that are numbers",
+        "self._braking.stationary_time < MISSING_END_AFTER": "of times that are numbers",
     },
     "watch.py": {
         "now - self._looked < WATCH_INTERVAL": "of times that the driver has checked",
         "self._clock() - self._looked_at < WATCH_INTERVAL": "of this machine's clock",
         "int(block.sequence[-1]) <= self._last": "counts",
-        "remaining <= EARLY": "of a plan that was checked",
-        "remaining <= EARLY + lost": "the same, and counts",
+        "remaining <= EARLY_END_TOLERANCE": "of a plan that was checked",
+        "remaining <= EARLY_END_TOLERANCE + lost": "the same, and counts",
         "gap.first > last": "counts",
         "now - self.temperatures[-1][0] <= interval": "of times that the driver has checked",
     },
 }
 
 #: Conditions of a quick path that gives the same as a slow one; a test compares the two.
-QUICK_WAYS = {"reference_path.py": {"whole and one_run[k]": "tests/safety/test_laying.py"}}
+QUICK_PATHS = {"reference_path.py": {"whole and one_run[k]": "tests/safety/test_sample_matching.py"}}
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _changes(node: ast.AST, module: str) -> tuple[str, ...]:
     if isinstance(node, ast.Compare) and type(node.ops[0]) in _OPPOSITE:
         return () if ast.unparse(node) in ALWAYS_NUMBERS.get(module, {}) else ("by its opposite",)
     if isinstance(node, (ast.If, ast.IfExp)):
-        return ("negated",) if ast.unparse(node.test) in QUICK_WAYS.get(module, {}) else ("never", "negated")
+        return ("negated",) if ast.unparse(node.test) in QUICK_PATHS.get(module, {}) else ("never", "negated")
     if isinstance(node, ast.BoolOp):
         return tuple(f"without part {k + 1}" for k in range(len(node.values)))
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):

@@ -54,8 +54,8 @@ def test_segments_do_not_depend_on_block_size(stays, rest, chunk):
     segments = MovingSegments(rest)
     for first in range(0, len(reference), chunk):
         segments.add(reference[first : first + chunk])
-    assert segments.found == moving_segments(reference, rest)
+    assert segments.ranges == moving_segments(reference, rest)
     moves = np.flatnonzero(np.diff(reference[:, 0], axis=0)) if len(reference) else []
-    inside = [any(start <= move < stop - 1 for start, stop in segments.found) for move in moves]
+    inside = [any(start <= move < stop - 1 for start, stop in segments.ranges) for move in moves]
     assert all(inside)
-    assert all(after[0] - (before[1] - 2) > rest for before, after in itertools.pairwise(segments.found))
+    assert all(after[0] - (before[1] - 2) > rest for before, after in itertools.pairwise(segments.ranges))

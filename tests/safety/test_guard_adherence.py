@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.safety.adherence import MEASURED, SET_POINTS, TOGETHER, Adherence
+from agent.safety.adherence import BATCH_DURATION, MEASURED, SET_POINTS, Adherence
 from agent.safety.planned_program import standstill_plan
 from drivers.protocol import SampleBlock
 from tests.safety.following import HOME, PERIOD, ROBOT, at, follow, paced, run, watcher
@@ -73,7 +73,7 @@ def test_stops_set_points_above_the_speed_limit(swing):
     chain = swing()
     jump = chain.q[0] + np.outer(10.0 * PERIOD * np.arange(100), np.eye(6)[0])
     _, when = follow(watcher(chain), jump, chunk=1)
-    assert TOGETHER - PERIOD < when < 0.02, "a few samples are judged at once: each by itself would cost as much"
+    assert BATCH_DURATION - PERIOD < when < 0.02, "a few samples are judged at once: each by itself would cost as much"
 
 
 def test_judges_samples_even_if_the_clock_is_constant(swing):

@@ -12,7 +12,17 @@ from hypothesis import given, strategies as st
 from agent.core.errors import SafetyError
 from agent.robot import load_robot
 from agent.safety.freshness import Freshness
-from agent.safety.stopping import AGAIN, LET_GO, NO_END, RECENT, SPAN, STANDS, STILL, Braking, Stopping
+from agent.safety.stopping import (
+    CLOSE_LINK_AFTER,
+    MAX_SAMPLE_AGE,
+    MISSING_END_AFTER,
+    RESEND_AFTER,
+    SPEED_WINDOW,
+    STANDSTILL_DEADLINE,
+    STATIONARY_SHARE,
+    Braking,
+    Stopping,
+)
 from drivers.errors import DriverError
 from drivers.protocol import SampleBlock, Status
 from drivers.transports.tcp.driver import TcpDriver
@@ -110,9 +120,9 @@ def test_a_braking_arm_gets_one_stop_and_keeps_its_link():
     arm = stopped(brakes=0.6)
     arm.run(1.5)
     arm.stopping.finish(failed=False)
-    arm.clock.now += STANDS
+    arm.clock.now += STANDSTILL_DEADLINE
     arm.stopping.poll()
-    assert (arm.stops, arm.stopping.seen, arm.warned) == (1, "", [])
+    assert (arm.stops, arm.stopping.failure, arm.warned) == (1, "", [])
     assert not arm.closed.is_set()
 
 
@@ -145,7 +155,7 @@ def test_a_slowly_braking_arm_gets_more_time(reacts):
     arm = stopped(brakes=1.2, speed=1.0)
     arm._stopped_at += 0.2 + reacts
     arm.run(2.0)
-    assert (arm.stopping.seen, arm.warned) == ("", [])
+    assert (arm.stopping.failure, arm.warned) == ("", [])
 
 
 def test_a_stall_of_this_process_is_not_counted_against_the_arm():
@@ -153,10 +163,10 @@ def test_a_stall_of_this_process_is_not_counted_against_the_arm():
     arm = stopped()
     arm.clock.now += 0.4
     arm.stopping.poll(stalled=0.4)
-    arm.run(AGAIN - 0.06)
+    arm.run(RESEND_AFTER - 0.06)
     assert arm.stops == 1
-    arm.clock.now += LET_GO
-    arm.stopping.poll(stalled=LET_GO)
+    arm.clock.now += CLOSE_LINK_AFTER
+    arm.stopping.poll(stalled=CLOSE_LINK_AFTER)
     arm.run(0.1)
     assert arm.closed.wait(10.0)
     assert arm.stops == 2
@@ -165,11 +175,11 @@ def test_a_stall_of_this_process_is_not_counted_against_the_arm():
 @pytest.mark.parametrize("brakes", [None, 20.0])
 def test_an_arm_that_does_not_brake_gets_a_second_stop_then_loses_the_link(brakes):
     arm = stopped(brakes)
-    arm.run(AGAIN - 0.06)
+    arm.run(RESEND_AFTER - 0.06)
     assert arm.stops == 1
     arm.run(0.1)
     assert not arm.closed.is_set()
-    arm.run(LET_GO - AGAIN)
+    arm.run(CLOSE_LINK_AFTER - RESEND_AFTER)
     assert arm.closed.wait(10.0)
     assert arm.stops == 2
     assert arm.stopping.disobeyed
@@ -198,9 +208,9 @@ def test_an_arm_that_slows_down_late_is_said_to_be_seen_late_perhaps(brakes, lat
     arm.run(1.0)
     arm.delay(late)
     arm.run(late)
-    assert arm.stopping._sampled.speed == pytest.approx(0.0, abs=1e-9)
+    assert arm.stopping._from_samples.speed == pytest.approx(0.0, abs=1e-9)
     arm.request()
-    arm.run(LET_GO + 0.1)
+    arm.run(CLOSE_LINK_AFTER + 0.1)
     assert arm.closed.wait(10.0), "whatever it is, it is stopped by every means"
     assert (arm.stops, arm.stopping.disobeyed) == (2, True)
     assert "It slows down, so what is seen of it may be late" in arm.warned[0]
@@ -213,25 +223,25 @@ def test_an_arm_that_is_seen_late_and_goes_on_is_said_to_disobey():
     arm.delay(0.3)
     arm.run(0.3)
     arm.request()
-    arm.run(LET_GO + 0.1)
+    arm.run(CLOSE_LINK_AFTER + 0.1)
     assert arm.stopping.disobeyed
 
 
 def test_closes_the_link_of_an_arm_that_never_comes_to_rest():
-    arm = stopped(brakes=2 * STANDS)
+    arm = stopped(brakes=2 * STANDSTILL_DEADLINE)
     for _ in range(10):
-        arm.run(STANDS / 10)
+        arm.run(STANDSTILL_DEADLINE / 10)
     assert arm.closed.wait(10.0)
     assert arm.stopping.disobeyed
 
 
 def test_closes_the_link_if_the_end_is_never_reported():
     arm = stopped(brakes=0.3)
-    arm.run(NO_END)
+    arm.run(MISSING_END_AFTER)
     assert not arm.closed.is_set()
     arm.run(0.5)
     assert arm.closed.wait(10.0)
-    assert "does not report the end" in arm.stopping.seen
+    assert "does not report the end" in arm.stopping.failure
     assert (arm.stopping.disobeyed, arm.warned) == (False, [])
 
 
@@ -250,7 +260,7 @@ def test_without_samples_braking_is_judged_by_the_state(moves, said):
     arm.run(0.3)
     arm.request()
     arm.turns(60)
-    assert said in arm.stopping.seen
+    assert said in arm.stopping.failure
     assert arm.stopping.disobeyed is (moves is True)
     assert arm.closed.wait(10.0) if said else not arm.closed.is_set()
 
@@ -265,7 +275,7 @@ def test_a_slowly_updated_state_still_shows_braking():
 
     arm.state = state
     arm.turns(75)
-    assert (arm.stopping.seen, arm.warned) == ("", [])
+    assert (arm.stopping.failure, arm.warned) == ("", [])
 
 
 @pytest.mark.parametrize("silent", [True, False])
@@ -277,14 +287,14 @@ def test_late_samples_do_not_hide_the_state(silent):
     arm.state = lambda: HOME
     arm.request()
     arm.turns(150, seen=True)
-    assert (arm.stopping.seen, arm.warned, arm.stops) == ("", [], 1), "and they belong into the log"
+    assert (arm.stopping.failure, arm.warned, arm.stops) == ("", [], 1), "and they belong into the log"
     assert not arm.closed.is_set()
     if silent:
         arm.turns(50)
     else:  # who knows when the clock is no number
         arm.state, arm.clock.now = lambda: None, np.nan
         arm.stopping.poll()
-    assert "does not report the end" in arm.stopping.seen
+    assert "does not report the end" in arm.stopping.failure
 
 
 @pytest.mark.parametrize("answers", [True, False], ids=["state as late", "no state"])
@@ -312,12 +322,12 @@ def test_an_arm_seen_late_is_not_accused(answers):
     assert "nothing shows what the arm does: the newest sample is 0.7 s old" in said
 
 
-@pytest.mark.parametrize("took", [0.0, RECENT + 0.05])
+@pytest.mark.parametrize("took", [0.0, MAX_SAMPLE_AGE + 0.05])
 def test_a_state_is_as_old_as_its_question(took):
     """Without samples the state alone shows the arm; one that was long on its way accuses nobody."""
     arm = Arm(brakes=None)
     arm.run(0.3)
-    arm.run(2 * RECENT, seen=False)
+    arm.run(2 * MAX_SAMPLE_AGE, seen=False)
 
     def state():
         position = HOME + 2.0 * arm.clock.now
@@ -333,12 +343,12 @@ def test_a_state_is_as_old_as_its_question(took):
 def test_an_outdated_state_is_not_evidence_of_braking():
     arm = Arm(brakes=None)
     arm.run(0.3)
-    arm.run(2 * RECENT, seen=False)
+    arm.run(2 * MAX_SAMPLE_AGE, seen=False)
     arm.request()
-    until = arm.clock.now + LET_GO - RECENT - 0.04
+    until = arm.clock.now + CLOSE_LINK_AFTER - MAX_SAMPLE_AGE - 0.04
     arm.state = lambda: HOME + 2.0 * arm.clock.now if arm.clock.now < until else None
     arm.turns(60)
-    assert "nothing shows" in arm.stopping.seen
+    assert "nothing shows" in arm.stopping.failure
     assert not arm.stopping.disobeyed
 
 
@@ -353,7 +363,7 @@ def test_a_nan_clock_gives_no_extra_time(answers):
     assert arm.closed.wait(10.0)
     arm.stopping.wait(10.0)
     assert arm.stops == 2
-    assert "nothing shows" in arm.stopping.seen
+    assert "nothing shows" in arm.stopping.failure
 
 
 def test_reports_a_stop_failure_after_the_link_closed_once():
@@ -389,13 +399,13 @@ def test_a_first_stop_that_fails_leaves_the_link_to_the_second():
     arm.stop = stop
     arm.run(0.3)
     arm.request()
-    arm.run(AGAIN + 0.06)
+    arm.run(RESEND_AFTER + 0.06)
     arm.stopping._sent[0].join(10.0)
     assert (arm.stops, arm.warned, arm.closed.is_set()) == (2, [], False)
 
 
 def test_ignores_a_stop_failure_after_the_arm_came_to_rest(monkeypatch):
-    monkeypatch.setattr("agent.safety.stopping.ANSWERED", 0.01)
+    monkeypatch.setattr("agent.safety.stopping.STOP_ANSWER_TIMEOUT", 0.01)
     arm, goes_on = Arm(brakes=0.2), threading.Event()
     told = arm.stop
 
@@ -419,7 +429,7 @@ def test_reports_a_link_closed_while_waiting_for_the_end_once():
     arm.clock.now += 1.0
 
     def state():
-        arm.clock.now += SPAN / 2
+        arm.clock.now += SPEED_WINDOW / 2
         arm.stopping.poll()
         return HOME + arm.clock.now
 
@@ -436,7 +446,7 @@ def test_does_not_query_a_failed_link():
     arm.clock.now += 1.0
     arm.state = lambda: looks.append(None)
     arm.stopping.finish(failed=True)
-    assert (looks, arm.stopping.seen, arm.stopping.over) == ([], "", True)
+    assert (looks, arm.stopping.failure, arm.stopping.over) == ([], "", True)
 
 
 def test_rest_before_a_silence_is_not_rest_at_the_end():
@@ -444,7 +454,7 @@ def test_rest_before_a_silence_is_not_rest_at_the_end():
     arm.clock.now += 1.0
 
     def state():
-        arm.clock.now += SPAN
+        arm.clock.now += SPEED_WINDOW
         return HOME + arm.clock.now
 
     arm.state = state
@@ -457,7 +467,7 @@ def test_a_state_without_a_position_is_not_evidence_of_rest(state):
     arm = stopped()
     arm.state = lambda: state
     arm.turns(60)
-    assert "nothing shows" in arm.stopping.seen
+    assert "nothing shows" in arm.stopping.failure
 
 
 def test_samples_before_the_stop_are_ignored():
@@ -465,7 +475,7 @@ def test_samples_before_the_stop_are_ignored():
     arm = stopped()
     arm.clock.now += 2.0
     arm.run(0.1)
-    assert "nothing shows" in arm.stopping.seen
+    assert "nothing shows" in arm.stopping.failure
     assert not arm.stopping.disobeyed
 
 
@@ -477,7 +487,7 @@ def test_a_reported_end_needs_an_observed_standstill(moves):
     looks = []
 
     def state():
-        arm.clock.now += SPAN / 2
+        arm.clock.now += SPEED_WINDOW / 2
         looks.append(None)
         return HOME + (arm.clock.now - began if moves else 0.0)
 
@@ -486,7 +496,7 @@ def test_a_reported_end_needs_an_observed_standstill(moves):
     assert moves or len(looks) < 5, "it was seen to stand"
     assert arm.stopping.disobeyed is moves
     assert arm.closed.wait(10.0) if moves else not arm.closed.is_set()
-    assert ("after the controller reported the end" in arm.stopping.seen) is moves
+    assert ("after the controller reported the end" in arm.stopping.failure) is moves
 
 
 @given(st.floats(0.02, 1.0), st.integers(1, 40))
@@ -497,7 +507,7 @@ def test_speed_is_the_highest_joint_speed(speed, chunk):
     for first in range(0, 200, chunk):
         braking.take(times[first : first + chunk], way[first : first + chunk])
     assert braking.speed == pytest.approx(speed, rel=1e-6)
-    assert braking.is_stationary is (speed <= STILL)
+    assert braking.is_stationary is (speed <= STATIONARY_SHARE)
 
 
 @pytest.mark.parametrize("times", [[1.0, np.nan], [1.0, 0.5]])
@@ -511,7 +521,9 @@ def test_non_finite_times_are_not_evidence_of_rest(times):
 @pytest.mark.parametrize("error", [KeyboardInterrupt, OSError, None])
 def test_keeps_samples_of_the_stop_and_reports_an_ignored_stop(bench, program, error, monkeypatch):
     """Whoever ends the motion: the log gets what came after the stop, and the exit code tells what was seen."""
-    monkeypatch.setattr("agent.safety.stopping.RECENT", patience(10 * RECENT))  # a collection of garbage takes as long
+    monkeypatch.setattr(
+        "agent.safety.stopping.MAX_SAMPLE_AGE", patience(10 * MAX_SAMPLE_AGE)
+    )  # a collection of garbage takes as long
     chosen = program()
     (chain,) = chosen.chains
 

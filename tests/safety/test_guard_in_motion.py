@@ -63,7 +63,7 @@ def test_the_controllers_reason_takes_precedence_over_the_state(bench, program):
 
 def test_polls_the_state_five_times_per_second_of_motion(bench, program, monkeypatch):
     """And the next samples wait for a prompt answer."""
-    monkeypatch.setattr("agent.safety.watch.PROMPT", 5.0)
+    monkeypatch.setattr("agent.safety.watch.STATUS_WAIT", 5.0)
     went_on, early = threading.Event(), []
 
     class Told(TcpDriver):
@@ -85,7 +85,7 @@ def test_polls_the_state_five_times_per_second_of_motion(bench, program, monkeyp
 
 
 def test_polls_a_controller_with_a_constant_clock(bench, program, monkeypatch):
-    monkeypatch.setattr("agent.safety.watch.PROMPT", 5.0)
+    monkeypatch.setattr("agent.safety.watch.STATUS_WAIT", 5.0)
     bench.controller.blocks, bench.controller.pushes, bench.controller.spacing = 40, True, 1
     ticks = iter(range(10**6))
     guard = bench.open(clock=lambda: 0.1 * next(ticks))
@@ -140,7 +140,7 @@ def test_an_unanswered_state_request_does_not_delay_the_watch(bench, program):
 
 def test_a_late_state_stops_the_arm_before_the_next_sample(bench, program, monkeypatch):
     """The stop is asked for when the answer comes, not with the next block."""
-    monkeypatch.setattr("agent.safety.watch.PROMPT", 0.0)
+    monkeypatch.setattr("agent.safety.watch.STATUS_WAIT", 0.0)
     over = threading.Event()
 
     class Waiting(TcpDriver):

@@ -33,12 +33,12 @@ FALSE_STOPS = {
     "freshness.py": {"age <= self.oldest": "true goes on"},
     "preconditions.py": {"carried >= made": "true is fast enough"},
     "stopping.py": {
-        "passed >= SPAN / 2": "true is a speed that is known",
+        "passed >= SPEED_WINDOW / 2": "true is a speed that is known",
         "self.speed < min(BRAKING * self.before, self._least + self._regained * self.before)": "true waits for the arm",
         "self.speed < min(BRAKING * self._most, self._least_since_most + self._regained * self._most)": "adds a word",
         "self.speed < self._most": "the same",
-        "self._freshness.age <= RECENT": "true shows the arm",
-        "self._clock() - self._state_at <= RECENT": "the same",
+        "self._freshness.age <= MAX_SAMPLE_AGE": "true shows the arm",
+        "self._clock() - self._state_at <= MAX_SAMPLE_AGE": "the same",
     },
     "watch.py": {"lasted <= self._longest": "true goes on"},
 }

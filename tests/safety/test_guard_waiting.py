@@ -11,10 +11,10 @@ from hypothesis import given, strategies as st
 from agent.core.errors import ControllerError, SafetyError
 from agent.motion.program import Delay
 from agent.robot import load_robot
-from agent.safety.freshness import DRIFT, HELD_UP, WAITS, Freshness
+from agent.safety.freshness import DRIFT, FIRST_SAMPLE_DELAY, PROCESS_STALL, Freshness
 from agent.safety.planned_program import SETTLING, pauses
 from agent.safety.preconditions import check_throughput
-from agent.safety.watch import TURN, MotionWatch
+from agent.safety.watch import POLL_INTERVAL, MotionWatch
 from drivers.protocol import Identity
 from drivers.transports.tcp.driver import TcpDriver
 from tests.safety.following import PERIOD, Clock
@@ -67,7 +67,7 @@ def test_tolerates_a_nearly_constant_delay(always, changes):
 @given(st.floats(0.01, 5.0))
 def test_a_growing_delay_stops_the_arm(growth):
     """At 1 % a second too slow as well."""
-    limit = WATCHDOG + WAITS
+    limit = WATCHDOG + PROCESS_STALL
     stopped = watched([growth * 0.02 * k for k in range(int(50 * 2 * limit / growth) + 50)])
     assert stopped is not None
     assert 0.9 * limit < growth * stopped < 1.1 * limit + 0.05 * growth
@@ -80,10 +80,10 @@ def test_tolerates_an_hour_of_clock_drift_and_a_faster_clock():
 
 
 def test_delayed_first_samples_do_not_hide_a_later_delay():
-    held = [HELD_UP, HELD_UP / 2] + [0.0] * 50
+    held = [FIRST_SAMPLE_DELAY, FIRST_SAMPLE_DELAY / 2] + [0.0] * 50
     late = [0.02 * k for k in range(100)]
     stopped = watched(held + late)
-    assert stopped == pytest.approx(0.02 * len(held) + WATCHDOG + WAITS, abs=0.03)
+    assert stopped == pytest.approx(0.02 * len(held) + WATCHDOG + PROCESS_STALL, abs=0.03)
 
 
 @pytest.mark.parametrize("samples", [0, 1])
@@ -95,7 +95,7 @@ def test_tolerates_silence_up_to_the_watchdog_time(samples):
         freshness.judged(1000.0)  # a controller whose time runs faster is never late, but may fall silent
     clock.now += 2.0
     assert freshness.fault() is None
-    clock.now += WAITS - 0.01 + (HELD_UP if samples == 0 else 0.0)
+    clock.now += PROCESS_STALL - 0.01 + (FIRST_SAMPLE_DELAY if samples == 0 else 0.0)
     assert freshness.fault() is None
     clock.now += 0.02
     assert "no sample came" in freshness.fault()
@@ -110,16 +110,16 @@ def test_a_stall_of_this_process_leaves_time_to_judge_the_backlog(stall, stopped
     watch = MotionWatch(driver, load_robot("comau_ns16"), "here", PERIOD, None, 100.0, clock, print)
 
     def turns(seconds):
-        for _ in range(round(seconds / TURN)):
-            clock.now += TURN
+        for _ in range(round(seconds / POLL_INTERVAL)):
+            clock.now += POLL_INTERVAL
             watch.poll()
 
     turns(0.3)
-    clock.now += stall + 2 * TURN
+    clock.now += stall + 2 * POLL_INTERVAL
     watch.poll()
-    turns(stopped_after - TURN)
+    turns(stopped_after - POLL_INTERVAL)
     assert (watch.stopping.since is None) is (stopped_after > 0)
-    turns(3 * TURN)
+    turns(3 * POLL_INTERVAL)
     assert stopped.wait(10.0)
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from agent.core.errors import ControllerError, SafetyError
 from agent.robot import load_robot
-from agent.safety.freshness import HELD_UP
-from agent.safety.stopping import LET_GO
-from agent.safety.watch import TURN, MotionWatch
+from agent.safety.freshness import FIRST_SAMPLE_DELAY
+from agent.safety.stopping import CLOSE_LINK_AFTER
+from agent.safety.watch import POLL_INTERVAL, MotionWatch
 from drivers.errors import DriverError, MotionStopped
 from drivers.protocol import SampleBlock, Status
 from tests.safety.following import HOME, PERIOD, Clock
@@ -58,8 +58,8 @@ class Link:
         return SampleBlock(numbers, times, positions, None, nothing, None, None)
 
     def turns(self, seconds: float) -> None:
-        for _ in range(round(seconds / TURN)):
-            self.clock.now += TURN
+        for _ in range(round(seconds / POLL_INTERVAL)):
+            self.clock.now += POLL_INTERVAL
             self.watch.poll()
 
 
@@ -83,7 +83,7 @@ def test_the_duration_of_a_start_is_not_sample_silence():
     def script():
         link.turns(0.5)
         stopped.append(link.watch.stopping.since is not None)
-        link.turns(1.0 + HELD_UP)
+        link.turns(1.0 + FIRST_SAMPLE_DELAY)
         stopped.append(link.watch.stopping.since is not None)
         yield link.block(5.0)
 
@@ -121,7 +121,7 @@ def test_uses_a_state_answered_after_the_last_sample(dropped):
 
     def status():
         asked.set()
-        while not link.watch._sampled:
+        while not link.watch._samples_ended:
             threading.Event().wait(0.001)
         link.turns(2.0)
         return replace(Link.status(link), override=0.5)
@@ -225,7 +225,7 @@ def test_reports_a_clock_set_back_as_fault_and_an_ignored_stop_as_danger(obeys):
     def script():
         yield link.block(5.0, speed=0.3)
         yield link.block(4.0, speed=0.3)
-        for k in range(1, 3 + round(LET_GO / 0.1)):
+        for k in range(1, 3 + round(CLOSE_LINK_AFTER / 0.1)):
             link.turns(0.1)
             yield link.block(5.0 + 0.1 * k, speed=0.0 if obeys else 0.3)
 

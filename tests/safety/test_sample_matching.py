@@ -11,10 +11,10 @@ STEP = 0.02
 
 def path_of(count: int) -> ReferencePath:
     nothing = np.zeros((count, 1))
-    when = STEP * np.arange(count)
+    plan_time = STEP * np.arange(count)
     return ReferencePath(
         np.arange(count),
-        when,
+        plan_time,
         nothing,
         nothing,
         nothing,
@@ -27,24 +27,24 @@ def path_of(count: int) -> ReferencePath:
     )
 
 
-def place_by_place(path, fits, reached, first, passed, ahead):
+def point_by_point(path, fits, reached, first, passed, ahead):
     firsts, lasts = [], []
     for k in range(len(fits)):
-        expected = passed[k] + path.when[first + np.flatnonzero(reached)[-1]]
+        expected = passed[k] + path.plan_time[first + np.flatnonzero(reached)[-1]]
         onward = path.onward(reached, first, ahead[k])
         if not np.any(onward & fits[k]):
             return firsts, lasts, onward
         reached = onward & fits[k]
         if passed[k] > GAP:
             reached = path.runs_near(reached, first, expected, WITHIN)
-        found = np.flatnonzero(reached)
-        firsts.append(first + found[0])
-        lasts.append(first + found[-1])
+        matched = np.flatnonzero(reached)
+        firsts.append(first + matched[0])
+        lasts.append(first + matched[-1])
     return firsts, lasts, reached
 
 
 @st.composite
-def layings(draw):
+def matchings(draw):
     """Some samples; most fit a run of points, some several, some none."""
     width, samples, first = draw(st.integers(1, 40)), draw(st.integers(1, 12)), draw(st.integers(0, 30))
     place = st.integers(0, width)
@@ -59,11 +59,11 @@ def layings(draw):
     return fits, reached, first, passed
 
 
-@given(layings())
-def test_batch_matching_equals_point_by_point_matching(laying):
-    fits, reached, first, passed = laying
+@given(matchings())
+def test_batch_matching_equals_point_by_point_matching(matching):
+    fits, reached, first, passed = matching
     path = path_of(first + fits.shape[1])
     ahead = 4.0 * passed
-    found = path.match_samples(fits, reached, first, passed, ahead, GAP, WITHIN)
-    for one, other in zip(found, place_by_place(path, fits, reached, first, passed, ahead), strict=True):
-        np.testing.assert_array_equal(one, other)
+    matched = path.match_samples(fits, reached, first, passed, ahead, GAP, WITHIN)
+    for edge, expected in zip(matched, point_by_point(path, fits, reached, first, passed, ahead), strict=True):
+        np.testing.assert_array_equal(edge, expected)
