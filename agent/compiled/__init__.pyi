@@ -2,7 +2,18 @@ from .kinematics import apart as apart, forward_and_jacobian as forward_and_jaco
 from .linear_response import stepped as stepped
 from .paths import derivatives as derivatives, not_a_knot as not_a_knot, products as products
 from .play import driven_through_play as driven_through_play, servo_through_play as servo_through_play
-from .profile import fastest as fastest, growth as growth, held as held, law_at as law_at, lowered as lowered
+from .profile import (
+    fastest as fastest,
+    law_at as law_at,
+    lower_ceiling as lower_ceiling,
+    speed_change_sums as speed_change_sums,
+    widen_dips as widen_dips,
+)
 from .rigid_bodies import regressor_columns as regressor_columns
-from .samples import averaged as averaged, sampled_on as sampled_on, stretched as stretched, tcp_rates as tcp_rates
-from .servo_arm import march as march
+from .samples import (
+    evaluate_spline as evaluate_spline,
+    moving_average_law as moving_average_law,
+    tcp_rates as tcp_rates,
+    time_stretch_factors as time_stretch_factors,
+)
+from .servo_arm import integrate as integrate

@@ -8,7 +8,7 @@ from agent.compiled.compiling import compiled
 
 
 @compiled("f8[:,::1](f8[::1], f8[:,::1], f8[:,:,::1], f8[:,::1], f8[::1])")
-def growth(
+def speed_change_sums(
     ceiling: np.ndarray, joints: np.ndarray, tool: np.ndarray, steps: np.ndarray, part: np.ndarray
 ) -> np.ndarray:
     """(n + t, K) sums of what the squares of speeds may change by from knot to knot.
@@ -54,7 +54,7 @@ def fastest(  # noqa: C901
     Args:
         ceiling: (K,) of z.
         weight: (m, K).
-        rising: (m, K) limits of the rise, see `growth`.
+        rising: (m, K) limits of the rise, see `speed_change_sums`.
         falling: (m, K) limits of the fall.
         least: (m,) a y up to this is not limited.
         passes: largest number of passes.
@@ -105,7 +105,7 @@ def fastest(  # noqa: C901
 
 
 @compiled("f8[::1](f8[::1], f8[::1], f8)")
-def held(s: np.ndarray, ceiling: np.ndarray, window: float) -> np.ndarray:
+def widen_dips(s: np.ndarray, ceiling: np.ndarray, window: float) -> np.ndarray:
     """Ceiling of ṡ² (K,) in which each dip is extended by half a window's distance to either side.
 
     Args:
@@ -131,16 +131,16 @@ def law_at(s: np.ndarray, z: np.ndarray) -> np.ndarray:
     for k in range(len(s)):
         speed[k] = np.sqrt(z[k])
     for k in range(len(s) - 1):
-        way, v = s[k] - s[0], speed[k]
+        travelled, v = s[k] - s[0], speed[k]
         dt = 2.0 * (s[k + 1] - s[k]) / (speed[k + 1] + v)
         a = (speed[k + 1] - v) / dt
         time[k + 1], acceleration[k] = time[k] + dt, a
-        integral[k + 1] = integral[k] + dt * (way + dt * (0.5 * v + a * dt / 6.0))
+        integral[k + 1] = integral[k] + dt * (travelled + dt * (0.5 * v + a * dt / 6.0))
     return law
 
 
 @compiled("f8[::1](f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, i8)")
-def lowered(
+def lower_ceiling(
     ceiling: np.ndarray,
     knots: np.ndarray,
     s: np.ndarray,

@@ -11,7 +11,7 @@ from agent.compiled.compiling import compiled
 
 
 @compiled("f8[:,::1](f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8, f8)")
-def averaged(
+def moving_average_law(
     t: np.ndarray,
     times: np.ndarray,
     s: np.ndarray,
@@ -46,18 +46,18 @@ def averaged(
             dt = min(max(at, 0.0), end) - times[cell]
             v, a = speed[cell], acceleration[cell]
             area = integral[cell] + dt * (s[cell] + dt * (0.5 * v + a * dt / 6.0)) + max(at - end, 0.0) * s[-1]
-            way, rate = s[cell] + dt * (v + 0.5 * a * dt), v + a * dt
+            travelled, rate = s[cell] + dt * (v + 0.5 * a * dt), v + a * dt
             if part == 0:
-                means[0, k], means[1, k], means[2, k] = area, way, rate
+                means[0, k], means[1, k], means[2, k] = area, travelled, rate
             else:
                 means[0, k] = (means[0, k] - area) / window
-                means[1, k] = (means[1, k] - way) / window / stretch
+                means[1, k] = (means[1, k] - travelled) / window / stretch
                 means[2, k] = (means[2, k] - rate) / window / (stretch * stretch)
     return means
 
 
 @compiled("f8[:,:,::1](f8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], i8)")
-def sampled_on(
+def evaluate_spline(
     knots: np.ndarray,
     coefficients: np.ndarray,
     s: np.ndarray,
@@ -131,7 +131,7 @@ def _raise_to(largest: np.ndarray, values: np.ndarray, limit: float) -> None:
 def tcp_rates(out: np.ndarray, joints: int) -> np.ndarray:
     """(4, S) linear [m/s] and rotational speed [rad/s], linear and rotational acceleration of the TCP.
 
-    out (3, n + 7, S) as of `sampled_on`.
+    out (3, n + 7, S) as of `evaluate_spline`.
     """
     rates = np.empty((4, out.shape[2]))
     quaternion, rate, change = out[0, joints + 3 :], out[1, joints:], out[2, joints:]
@@ -149,7 +149,7 @@ def tcp_rates(out: np.ndarray, joints: int) -> np.ndarray:
 
 
 @compiled("f8[:,::1](f8[::1], f8[:,::1], f8[::1], f8[:,:,::1], f8[::1], f8[::1], f8[::1], f8[::1])")
-def stretched(
+def time_stretch_factors(
     knots: np.ndarray,
     ceilings: np.ndarray,
     s: np.ndarray,
@@ -165,7 +165,7 @@ def stretched(
         knots: (K,) parameters.
         ceilings: (4, K) of the TCP's linear and rotational speed, then acceleration, each on the cell before its knot.
         s: (S,) parameter since the first knot.
-        out: (3, n + 7, S) as of `sampled_on`.
+        out: (3, n + 7, S) as of `evaluate_spline`.
         speeds: (n,) of the joints.
         accelerations: (n,).
         jerks: (n,) changes of acceleration a sample.

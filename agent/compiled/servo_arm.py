@@ -21,23 +21,23 @@ def _turned(half: np.ndarray, rotation: np.ndarray, row: int, column: int) -> fl
 
 
 @compiled("void(f8[:,:,::1], f8[:,::1], f8[:,::1], b1[::1], f8[:,::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1])")
-def _place(
+def _forward_kinematics(
     rotations: np.ndarray,
     origins: np.ndarray,
     axes: np.ndarray,
     prismatic: np.ndarray,
     inertias: np.ndarray,
     q: np.ndarray,
-    room: np.ndarray,
+    scratch: np.ndarray,
     screws: np.ndarray,
     bodies: np.ndarray,
 ) -> None:
     """Write the joints' `screws` (n, 6) and the links' `bodies` (n, 10) of the arm at q (n,).
 
     A screw is the angular velocity and the velocity of a point at the base's origin; bodies are about that origin.
-    `room` is scratch memory (3, 3, 3).
+    `scratch` (3, 3, 3) is overwritten.
     """
-    rotation, fixed, half = room[0], room[1], room[2]
+    rotation, fixed, half = scratch[0], scratch[1], scratch[2]
     for row in range(3):
         for k in range(3):
             rotation[row, k] = 1.0 if row == k else 0.0
@@ -96,7 +96,7 @@ def _place(
 
 
 @compiled("UniTuple(f8, 6)(f8[::1], f8, f8, f8, f8, f8, f8)")
-def _times(
+def _momentum(
     body: np.ndarray, w0: float, w1: float, w2: float, v0: float, v1: float, v2: float
 ) -> tuple[float, float, float, float, float, float]:
     """Moment J w + m c × v and force m v + w × m c of a body at a motion."""
@@ -112,7 +112,7 @@ def _times(
 
 
 @compiled("void(f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1])")
-def _balance(
+def _mass_matrix_and_bias(
     screws: np.ndarray,
     bodies: np.ndarray,
     gravity: np.ndarray,
@@ -144,8 +144,8 @@ def _balance(
             v1 + s4 * rate,
             v2 + s5 * rate,
         )
-        h0, h1, h2, h3, h4, h5 = _times(bodies[k], w0, w1, w2, v0, v1, v2)
-        g0, g1, g2, g3, g4, g5 = _times(bodies[k], d0, d1, d2, a0, a1, a2)
+        h0, h1, h2, h3, h4, h5 = _momentum(bodies[k], w0, w1, w2, v0, v1, v2)
+        g0, g1, g2, g3, g4, g5 = _momentum(bodies[k], d0, d1, d2, a0, a1, a2)
         of = forces[k]
         of[0] = g0 + w1 * h2 - w2 * h1 + v1 * h5 - v2 * h4
         of[1] = g1 + w2 * h0 - w0 * h2 + v2 * h3 - v0 * h5
@@ -162,7 +162,7 @@ def _balance(
         s0, s1, s2, s3, s4, s5 = screws[k]
         f0, f1, f2, f3, f4, f5 = forces[k]
         bias[k] = s0 * f0 + s1 * f1 + s2 * f2 + s3 * f3 + s4 * f4 + s5 * f5
-        f0, f1, f2, f3, f4, f5 = _times(bodies[k], s0, s1, s2, s3, s4, s5)
+        f0, f1, f2, f3, f4, f5 = _momentum(bodies[k], s0, s1, s2, s3, s4, s5)
         for j in range(k + 1):
             s0, s1, s2, s3, s4, s5 = screws[j]
             matrix[k, j] = s0 * f0 + s1 * f1 + s2 * f2 + s3 * f3 + s4 * f4 + s5 * f5
@@ -211,7 +211,7 @@ def _damping(friction: np.ndarray, speed: float) -> float:
 
 
 @compiled("f8(f8[:], f8, f8[::1], f8)")
-def _held(friction: np.ndarray, speed: float, bristle: np.ndarray, dt: float) -> float:
+def _bristle_friction(friction: np.ndarray, speed: float, bristle: np.ndarray, dt: float) -> float:
     """Bristle torque [N·m] after one step, plus the viscous torque."""
     coulomb, rise, per_speed, viscous, per_knee, stiffness = friction[4:]
     ratio = speed * per_speed
@@ -229,7 +229,7 @@ def _held(friction: np.ndarray, speed: float, bristle: np.ndarray, dt: float) ->
     "void(f8[:,:,::1], f8[:,::1], f8[:,::1], b1[::1], f8[::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1],"
     " f8[:,:,::1], f8[:,::1], i8, f8, f8[:,::1], f8[:,:,::1])"
 )
-def march(  # noqa: C901
+def integrate(  # noqa: C901
     rotations: np.ndarray,
     origins: np.ndarray,
     axes: np.ndarray,
@@ -271,14 +271,14 @@ def march(  # noqa: C901
     """
     n = len(rotors)
     q, v, a, bristle = state[0], state[1], state[2], state[4]
-    room, screws, bodies, forces = np.empty((3, 3, 3)), np.empty((n, 6)), np.empty((n, 10)), np.empty((n, 6))
-    matrix, bias, still, turning = np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty(n)
+    scratch, screws, bodies, forces = np.empty((3, 3, 3)), np.empty((n, 6)), np.empty((n, 10)), np.empty((n, 6))
+    matrix, bias, rotor_inertia, damping = np.empty((n, n)), np.empty(n), np.empty((n, n)), np.empty(n)
     predicted, load = np.empty(n), np.empty(n)
     for k in range(n):
         for j in range(k + 1):
-            still[k, j] = 0.0
+            rotor_inertia[k, j] = 0.0
             for i in range(n):
-                still[k, j] += coupling[i, k] * rotors[i] * coupling[i, j]
+                rotor_inertia[k, j] += coupling[i, k] * rotors[i] * coupling[i, j]
     for step in range(len(references)):
         sample, first = step // substeps, step % substeps == 0
         for k in range(n):
@@ -294,20 +294,20 @@ def march(  # noqa: C901
             if first:
                 out[sample, 0, k], out[sample, 1, k] = q[k], predicted[k]
                 out[sample, 2, k], out[sample, 3, k], out[sample, 4, k] = axle, speed, torque
-            turning[k] = _damping(friction[:, k], speed)
-            load[k] = torque - _held(friction[:, k], speed, bristle[k : k + 1], dt) - turning[k] * late
-            damped |= turning[k] != 0.0
-        _place(rotations, origins, axes, prismatic, inertias, q, room, screws, bodies)
-        _balance(screws, bodies, gravity, predicted, forces, matrix, bias)
+            damping[k] = _damping(friction[:, k], speed)
+            load[k] = torque - _bristle_friction(friction[:, k], speed, bristle[k : k + 1], dt) - damping[k] * late
+            damped |= damping[k] != 0.0
+        _forward_kinematics(rotations, origins, axes, prismatic, inertias, q, scratch, screws, bodies)
+        _mass_matrix_and_bias(screws, bodies, gravity, predicted, forces, matrix, bias)
         for k in range(n):
             a[k] = outside[sample, k] - bias[k]
             for j in range(n):
                 a[k] += load[j] * coupling[j, k]
             for j in range(k + 1):
-                matrix[k, j] += still[k, j]
+                matrix[k, j] += rotor_inertia[k, j]
                 if damped:
                     for i in range(n):
-                        matrix[k, j] += coupling[i, k] * turning[i] * dt * coupling[i, j]
+                        matrix[k, j] += coupling[i, k] * damping[i] * dt * coupling[i, j]
         _solve(matrix, a)
         for k in range(n):
             v[k] += dt * a[k]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.compiled import march
+from agent.compiled import integrate
 from agent.robot import Dynamics
 
 #: (time [s], q (n,), q̇ (n,)) → joint torque (n,) [N·m] from outside, asked once a sample.
@@ -28,7 +28,7 @@ class RigidActuation:
 
     Arrays (n,): `coulomb` f0 [N·m], `viscous` f1 [N·m·s/rad], `quadratic` f2 [N·m·s²/rad²], `transition` [rad/s], all
     taken at the velocity after the step, so that stiff friction stays stable at standstill. `bristles` (6, n) add
-    friction with a memory, see `agent.compiled.march`.
+    friction with a memory, see `agent.compiled.integrate`.
     """
 
     def __init__(
@@ -148,14 +148,14 @@ class ForwardSimulation:
     def run(self, reference: np.ndarray, reference_velocity: np.ndarray) -> SimulatedMotion:
         """Follow joint set-points (S, n) and their velocities, one per period."""
         references = self._inner_references(reference, reference_velocity)
-        states = self._march(references)
+        states = self._integrate(references)
         time = self.time + self.period * np.arange(len(states))
         self.time += self.period * len(states)
         q, v, motor_position, motor_velocity, motor_torque = (states[:, row].copy() for row in range(5))
         return SimulatedMotion(time, q, v, motor_position, motor_velocity, motor_torque, motor_torque @ self._coupling)
 
-    def _march(self, references: np.ndarray) -> np.ndarray:
-        """(S, 5, n) what `agent.compiled.march` finds: at once, or from sample to sample where something acts."""
+    def _integrate(self, references: np.ndarray) -> np.ndarray:
+        """(S, 5, n) what `agent.compiled.integrate` finds: at once, or from sample to sample where something acts."""
         gains, steps = self._gains, self._substeps
         servo = np.array([gains.position, gains.velocity, gains.integral, gains.feedforward, gains.limit], dtype=float)
         arm = *self._dynamics.chain, self._coupling, self._rotors, servo, self._actuation.friction
@@ -163,7 +163,7 @@ class ForwardSimulation:
         together = 1 if callable(self._external) else max(len(states), 1)
         for k in range(0, len(states), together):
             part, outside = references[k * steps : (k + together) * steps], self._outside(k, together)
-            march(*arm, part, outside, steps, self.period / steps, self._state, states[k : k + together])
+            integrate(*arm, part, outside, steps, self.period / steps, self._state, states[k : k + together])
         return states
 
     def _outside(self, first: int, count: int) -> np.ndarray:

@@ -139,7 +139,7 @@ class SteppedSimulation(ForwardSimulation):
         self._servo.reset(torque)
         self._drive.reset(self._set_point[0].tolist(), torque)
 
-    def _march(self, references: np.ndarray) -> np.ndarray:
+    def _integrate(self, references: np.ndarray) -> np.ndarray:
         substeps, coupling, external = self._substeps, self._coupling, self._external
         motors, actuate, servo = self._drive.motors, self._drive.step, self._servo.step
         accelerate, coupled = self._accelerate, bool(np.any(coupling - np.eye(len(coupling))))

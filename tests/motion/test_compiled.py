@@ -15,16 +15,16 @@ from scipy.interpolate import CubicSpline, PPoly
 from scipy.spatial.transform import Rotation
 
 from agent.compiled import (
-    averaged,
     derivatives,
+    evaluate_spline,
     fastest,
-    held,
     law_at,
-    lowered,
+    lower_ceiling,
+    moving_average_law,
     not_a_knot,
-    sampled_on,
-    stretched,
     tcp_rates,
+    time_stretch_factors,
+    widen_dips,
 )
 from tests.conftest import loaded
 
@@ -79,7 +79,7 @@ def test_dips_are_widened_by_half_a_window_on_each_side(seed: int, window: float
         min([ceiling[k], *(ceiling[d] for d in dips if -h(d, ceiling, window) <= s[k] - s[d] < h(d, ceiling, window))])
         for k in range(40)
     ]
-    np.testing.assert_array_equal(held(s, ceiling, window), expected)
+    np.testing.assert_array_equal(widen_dips(s, ceiling, window), expected)
 
 
 def h(dip: int, ceiling: np.ndarray, window: float) -> float:
@@ -102,10 +102,10 @@ def test_the_time_law_is_a_moving_average(seed: int, window: float, stretch: flo
         inside = np.clip(at, 0.0, times[-1])
         return poly(inside) + (way(times[-1]) * (at - inside) * (at > inside) if poly is area else 0.0)
 
-    found = averaged(t, times, way(times), speed, change, area(times), window, stretch)
+    evaluated = moving_average_law(t, times, way(times), speed, change, area(times), window, stretch)
     for k, poly in enumerate((area, way, rate)):
         mean = (of(poly, t / stretch) - of(poly, t / stretch - window)) / window / stretch**k
-        np.testing.assert_allclose(found[k], mean, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(evaluated[k], mean, rtol=0, atol=1e-11)
 
 
 def path(seed: int, joints: int, samples: int) -> tuple[np.ndarray, np.ndarray, Any]:
@@ -121,27 +121,27 @@ def path(seed: int, joints: int, samples: int) -> tuple[np.ndarray, np.ndarray, 
 @given(SEEDS, st.integers(1, 7), st.integers(1, 40))
 def test_samples_match_the_spline_by_the_chain_rule(seed: int, joints: int, samples: int) -> None:
     knots, coefficients, (s, speed, acceleration) = path(seed, joints, samples)
-    found = sampled_on(knots, coefficients, s, speed, acceleration, joints)
+    evaluated = evaluate_spline(knots, coefficients, s, speed, acceleration, joints)
     spline = PPoly(coefficients.transpose(0, 2, 1), knots)
     value, first, second = (spline(s + knots[0], order).T for order in range(3))
     value[-4:] /= np.linalg.norm(value[-4:], axis=0)
     expected = value, first * speed, first * acceleration + second * speed**2
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(evaluated, expected, rtol=1e-12, atol=1e-12)
 
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.integers(1, 7), st.integers(1, 40))
 def test_the_time_stretch_is_set_by_the_most_used_limit(seed: int, joints: int, samples: int) -> None:
     knots, coefficients, law = path(seed, joints, samples)
-    found = sampled_on(knots, coefficients, *law, joints)
+    evaluated = evaluate_spline(knots, coefficients, *law, joints)
     rng = np.random.default_rng(seed)
     ceilings, (speeds, accelerations, jerks, thirds) = rng.uniform(0.5, 2, (4, 10)), rng.uniform(0.5, 2, (4, joints))
-    stretch, jerk = stretched(knots, ceilings, law[0], found, speeds, accelerations, jerks, thirds)
-    rates = tcp_rates(found, joints)
-    (q, qd, qdd), turn = found[:, :joints], found[:, joints + 3 :]
+    stretch, jerk = time_stretch_factors(knots, ceilings, law[0], evaluated, speeds, accelerations, jerks, thirds)
+    rates = tcp_rates(evaluated, joints)
+    (q, qd, qdd), turn = evaluated[:, :joints], evaluated[:, joints + 3 :]
     across = np.einsum("is,is->s", turn[2], turn[2]) - np.einsum("is,is->s", turn[0], turn[2]) ** 2
     for rate, rows in zip(
-        rates, (found[1, joints : joints + 3], 2 * turn[1], found[2, joints : joints + 3]), strict=False
+        rates, (evaluated[1, joints : joints + 3], 2 * turn[1], evaluated[2, joints : joints + 3]), strict=False
     ):
         np.testing.assert_allclose(rate, np.linalg.norm(rows, axis=0))
     np.testing.assert_allclose(rates[3], 2 * np.sqrt(np.maximum(across, 0)), atol=1e-6)
@@ -179,7 +179,7 @@ def test_the_speed_ceiling_is_lowered_around_a_violation(seed: int, half: int) -
     around = [needed[max(k - half, 0) : k + half + 1].min() for k in range(40)]
     after = np.clip(np.searchsorted(s, knots - 1.0), 1, 39)
     expected = np.minimum(ceiling, np.minimum(np.take(around, after), np.take(around, after - 1)))
-    np.testing.assert_allclose(lowered(ceiling, knots, s, speed, stretch, 1.01, half), expected)
+    np.testing.assert_allclose(lower_ceiling(ceiling, knots, s, speed, stretch, 1.01, half), expected)
 
 
 @settings(max_examples=30, deadline=None)
@@ -191,13 +191,15 @@ def test_cubics_and_their_derivatives_are_those_of_the_spline(seed: int, knots: 
     spline = CubicSpline(x, rows.T)
     coefficients = not_a_knot(x, rows)
     np.testing.assert_allclose(coefficients, spline.c.transpose(0, 2, 1), rtol=0, atol=1e-7 * np.abs(spline.c).max())
-    found, (travel, turn) = derivatives(coefficients, x[-1] - x[-2], np.ascontiguousarray(rows[-4:].T))
-    np.testing.assert_allclose(found[:2], [spline(x, 1).T, spline(x, 2).T], rtol=0, atol=1e-8 * np.abs(found[1]).max())
+    evaluated, (travel, turn) = derivatives(coefficients, x[-1] - x[-2], np.ascontiguousarray(rows[-4:].T))
+    np.testing.assert_allclose(
+        evaluated[:2], [spline(x, 1).T, spline(x, 2).T], rtol=0, atol=1e-8 * np.abs(evaluated[1]).max()
+    )
     third = 6.0 * np.abs(coefficients[0])
     larger = np.maximum(np.append(third, third[:, -1:], axis=1), np.append(third[:, :1], third, axis=1))
-    np.testing.assert_allclose(np.abs(found[2]), larger)
-    np.testing.assert_array_equal(travel, found[:2, 2:5].transpose(0, 2, 1))
-    for rate, rows_of in zip(turn, found[:2, 5:], strict=True):
+    np.testing.assert_allclose(np.abs(evaluated[2]), larger)
+    np.testing.assert_array_equal(travel, evaluated[:2, 2:5].transpose(0, 2, 1))
+    for rate, rows_of in zip(turn, evaluated[:2, 5:], strict=True):
         product = (
             Rotation.from_quat(rows_of.T, scalar_first=True) * Rotation.from_quat(rows[-4:].T, scalar_first=True).inv()
         )
@@ -210,9 +212,9 @@ def test_cubics_and_their_derivatives_are_those_of_the_spline(seed: int, knots: 
 def test_a_nan_violates_every_limit() -> None:
     knots, coefficients, (s, speed, acceleration) = path(1, 2, 9)
     speed[4] = np.nan
-    found = sampled_on(knots, coefficients, s, speed, acceleration, 2)
+    evaluated = evaluate_spline(knots, coefficients, s, speed, acceleration, 2)
     ones = np.ones(2)
-    stretch, jerk = stretched(knots, np.ones((4, 10)), s, found, ones, ones, ones, ones)
+    stretch, jerk = time_stretch_factors(knots, np.ones((4, 10)), s, evaluated, ones, ones, ones, ones)
     assert np.isnan(stretch[4])
     assert np.isnan(jerk[4])
 

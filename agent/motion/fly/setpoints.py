@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.compiled import averaged, held, law_at, lowered, sampled_on, stretched
+from agent.compiled import evaluate_spline, law_at, lower_ceiling, moving_average_law, time_stretch_factors, widen_dips
 from agent.motion.fly import rules
 from agent.motion.fly.fly_parameters import LONGEST, FlyParameters
 from agent.motion.fly.move_geometry import Segment, label_of
@@ -56,7 +56,7 @@ class TimeLaw:
 
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """s, ṡ, s̈ (S,) at times t (S,) [s] since the start of the run, in ascending order; stationary outside it."""
-        s, speed, acceleration = averaged(
+        s, speed, acceleration = moving_average_law(
             t, self.t, self.s, self.speed, self.acceleration, self.integral, self.window, self.stretch
         )
         return s, speed, acceleration
@@ -130,8 +130,8 @@ def plan_run(
     path = shape.path
     ramp = parameters.ramp * float(np.max(limits.acceleration / limits.jerk))
     window = max(round(ramp / period), 1) * period
-    # Every dip is held for the window, so that the average over the window reaches its bottom.
-    ceiling = held(path.s, speed_ceiling(shape, limits, parameters), window)
+    # Every dip is widened by the window, so that the average over the window reaches its bottom.
+    ceiling = widen_dips(path.s, speed_ceiling(shape, limits, parameters), window)
     ramps = Ramps(shape, limits)
     step = _COARSE * period
     for _ in range(_REPAIRS):
@@ -148,7 +148,7 @@ def plan_run(
         if stretch.max() <= 1.0 + _TOLERANCE:
             return Run(shape, samples)
         half = round(window / step) // 2
-        ceiling = lowered(ceiling, path.s, samples.s, samples.speed, stretch, 1.0 + _TOLERANCE, half)
+        ceiling = lower_ceiling(ceiling, path.s, samples.s, samples.speed, stretch, 1.0 + _TOLERANCE, half)
     for _ in range(_STRETCHES):
         samples = sampled(shape, law, period)
         stretch = stretch_needed(path, samples, limits, period)
@@ -202,7 +202,7 @@ def sampled(shape: PathShape, law: TimeLaw | BlockLaw, period: float) -> SetPoin
     n = shape.path.q.shape[1]
     t = np.arange(int(np.ceil(law.duration / period - 1e-9)) + 1) * period
     s, speed, acceleration = law.sample(t)
-    rows = sampled_on(shape.path.s, shape.coefficients, s, speed, acceleration, n)
+    rows = evaluate_spline(shape.path.s, shape.coefficients, s, speed, acceleration, n)
     return SetPoints(s, speed, rows, *rows[:, :n], *rows[:2, n:])
 
 
@@ -224,7 +224,7 @@ def stretch_needed(path: Path, samples: SetPoints, limits: ArmLimits, period: fl
     )
     # The mean over three periods is another mean of the jerk than that over one: servos may see either.
     jerks, over_three = limits.jerk * period, limits.jerk * period**3
-    stretch, jerk = stretched(
+    stretch, jerk = time_stretch_factors(
         path.s, ceilings, samples.s, samples.rows, limits.speed, limits.acceleration, jerks, over_three
     )
     over = jerk > 1.0
