@@ -13,7 +13,8 @@ from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
 from agent.estimation.normal_equations import predicts_better
-from agent.estimation.observation import ENOUGH_TIME, Observation, Partition, observe, partition
+from agent.estimation.observation import ENOUGH_TIME, Observation, observe
+from agent.estimation.partition import Partition, partition
 from agent.estimation.problem import Problem, standstill_runs
 from agent.estimation.selection import (
     LOWEST,

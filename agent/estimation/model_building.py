@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from agent.estimation.normal_equations import Moments, observed_standstill_speed
-from agent.estimation.observation import ENOUGH_TIME, SELDOM, SLIDES, Observation
+from agent.estimation.observation import ENOUGH_TIME, Observation
+from agent.estimation.partition import SELDOM_SHARE, SLIDING_SHARE
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import paper_terms
@@ -169,9 +170,9 @@ def _doubts(observation: Observation) -> Iterator[str]:
             "their positions were not recorded."
         )
     qd = np.concatenate([segment.motion.qd[segment.motion.kept] for segment in observation.segments])
-    least = SLIDES * np.abs(qd).max(axis=0)
+    least = SLIDING_SHARE * np.abs(qd).max(axis=0)
     forth, back = np.sum(qd > least, axis=0), np.sum(qd < -least, axis=0)
-    one_way = np.minimum(forth, back) < SELDOM * (forth + back)
+    one_way = np.minimum(forth, back) < SELDOM_SHARE * (forth + back)
     for k in np.flatnonzero(one_way & (travelled > RESTS * robot.max_velocity)):
         yield (
             f"{robot.joint_names[k]} goes one way only: its friction and an offset of its torque are the same there; "

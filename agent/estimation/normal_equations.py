@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import symmetric_eigen
-from agent.estimation.observation import Observation, Partition
+from agent.estimation.observation import Observation
+from agent.estimation.partition import Partition
 from agent.estimation.prior import Prior
 from agent.model import FrictionTerm, standstill_speed
 

@@ -16,7 +16,8 @@ from agent.estimation.normal_equations import (
     reweight,
     solve_sum,
 )
-from agent.estimation.observation import Observation, Partition
+from agent.estimation.observation import Observation
+from agent.estimation.partition import Partition
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
 from agent.model import FrictionTerm
 

@@ -24,7 +24,8 @@ from agent.estimation.estimators import ESTIMATORS
 from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
 from agent.estimation.normal_equations import reweight, solve_scaled
-from agent.estimation.observation import Observation, observe, partition
+from agent.estimation.observation import Observation, observe
+from agent.estimation.partition import partition
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.uncertainty import jackknife
 from agent.model import IdentifiedModel, ParameterPrior

@@ -9,7 +9,8 @@ from scipy.stats import multivariate_normal
 
 import agent.estimation.normal_equations as sums
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.observation import observe, partition
+from agent.estimation.observation import observe
+from agent.estimation.partition import partition
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms

@@ -8,7 +8,8 @@ import pytest
 
 from agent.core import InputError
 from agent.estimation.filtering import FilterSettings
-from agent.estimation.observation import check_log, observe, partition
+from agent.estimation.observation import check_log, observe
+from agent.estimation.partition import partition
 from agent.model import FrictionTerm, Reversal
 from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _links, _log, _multisine
