@@ -11,7 +11,7 @@ from drivers.errors import ConfigurationError, DriverError, ProtocolError, Refus
 from drivers.protocol import AcceptsViaPoints, Driver, MeasuresCurrents, ReportsDiagnostics, RequiresOperator, ViaPoint
 from drivers.registry import create
 from drivers.transports.cnr.address import CnrAddress, parse_address
-from drivers.transports.cnr.driver import _Feeder, trajectories
+from drivers.transports.cnr.feeder import Feeder, trajectories
 from drivers.transports.cnr.sockets import Sockets
 from drivers.wire import cnr
 from drivers.wire.cnr import MessageType, Point, QueueStatus
@@ -226,7 +226,7 @@ def sent(script):
 
 def test_sends_points_in_order_and_then_the_end(linked):
     script, sockets = linked()
-    _Feeder(sockets, trajectories(via(4), 2)).fill(motion())
+    Feeder(sockets, trajectories(via(4), 2)).fill(motion())
     assert sent(script) == [(3001, 1), (3001, 2), (3001, 3), (3001, 4), (3002, 0)]
 
 
@@ -242,7 +242,7 @@ def test_a_full_queue_waits_and_accepted_points_are_not_resent(linked):
         return success(message, QueueStatus.BUSY if full else QueueStatus.READY)
 
     script, sockets = linked(reply)
-    feeder, run = _Feeder(sockets, trajectories(via(4), 2)), motion()
+    feeder, run = Feeder(sockets, trajectories(via(4), 2)), motion()
     feeder.fill(run)
     assert sent(script) == [(3001, 1), (3001, 2)]
     feeder.started()
@@ -265,7 +265,7 @@ def test_a_point_rejected_by_a_full_queue_is_sent_again_later(linked):
         return success(message)
 
     script, sockets = linked(reply)
-    feeder, run = _Feeder(sockets, trajectories(via(2), 2)), motion()
+    feeder, run = Feeder(sockets, trajectories(via(2), 2)), motion()
     feeder.fill(run)
     feeder.fill(run)
     assert sent(script) == [(3001, 1), (3001, 2), (3001, 2), (3002, 0)]
@@ -276,7 +276,7 @@ def test_a_sequence_error_refuses_the_motion(linked):
         lambda m: success(m, QueueStatus.ERROR, done=False) if m.type == MessageType.POINT else success(m)
     )
     with pytest.raises(RefusedError, match="expects another number"):
-        _Feeder(sockets, trajectories(via(2), 2)).fill(motion())
+        Feeder(sockets, trajectories(via(2), 2)).fill(motion())
     assert sent(script) == [(3001, 1)]
 
 
@@ -292,20 +292,20 @@ def test_a_ping_flushes_a_late_answer(linked):
         return success(message)
 
     script, sockets = linked(reply, timeout=patience(0.3))
-    _Feeder(sockets, trajectories(via(2), 2)).fill(motion())
+    Feeder(sockets, trajectories(via(2), 2)).fill(motion())
     assert sent(script) == [(3001, 1), (3001, 2), (3002, 0)]
 
 
 def test_an_unanswered_point_is_not_resent(linked):
     script, sockets = linked(lambda m: None if m.type == MessageType.POINT else success(m), timeout=patience(0.3))
     with pytest.raises(DriverError, match="not sent again"):
-        _Feeder(sockets, trajectories(via(2), 2)).fill(motion())
+        Feeder(sockets, trajectories(via(2), 2)).fill(motion())
     assert sent(script) == [(3001, 1)]
 
 
 def test_the_end_of_an_earlier_trajectory_does_not_end_the_next(linked):
     script, sockets = linked()
-    feeder = _Feeder(sockets, trajectories(via(4, stops=(1,)), 2))  # both have two points
+    feeder = Feeder(sockets, trajectories(via(4, stops=(1,)), 2))  # both have two points
     feeder.fill(motion())
     feeder.started()
     assert not feeder.is_over(feedback(0, moves=0, last=2))  # of a motion before

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 
 from drivers.errors import DriverError, MotionStopped
+from drivers.transports.cnr.joiner import Joiner
 from drivers.transports.cnr.motion import ClockMatch, stop_reason
-from drivers.transports.cnr.node import Joiner
 from drivers.wire import cnr
 from tests.link.cnr_script import READY, feedback, motion
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from drivers.transports.cnr.node import Joiner, Rows, SnapshotClock
+from drivers.transports.cnr.joiner import Joiner
+from drivers.transports.cnr.snapshot_clock import Rows, SnapshotClock
 from drivers.wire import cnr
 from fake_controller.build import build_controller
 from fake_controller.servers.cnr.node import JointPublisher

@@ -24,8 +24,8 @@ from drivers.protocol import Identity, SampleBlock, Status
 from drivers.texts import ALARM, MANY, NAME, printable
 from drivers.transports.base.samples import Sequencer
 from drivers.transports.cnr.address import parse_address
+from drivers.transports.cnr.broker import BrokerLink
 from drivers.transports.cnr.files import ProgramFolder
-from drivers.transports.cnr.node import BrokerLink
 from drivers.transports.tcp.driver import TcpMotion, to_block
 from drivers.wire.cnr import decode_joints
 from drivers.wire.tcp import Samples
