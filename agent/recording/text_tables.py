@@ -1,45 +1,25 @@
 """Rows of text, as CSV files and spreadsheets have them, to columns of numbers.
 
-The longest block of rows is the table; lines above it with as many fields are its names. A cell may hold a number, a
-date or time of day, or a vector, which becomes one column per element.
+The longest block of rows is the table; lines above it with as many fields are its names. A vector becomes one column
+per element.
 """
 
 from __future__ import annotations
 
 import codecs
-import contextlib
-import csv
 import io
-import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from agent.core import InputError, counted, open_regular
+from agent.recording.text_rows import Cell, Row, check_size, check_width, parse_row, parse_rows, separator_of
 
-_HIDDEN = re.compile(r'"[^"]*"|\[[^\[\]]*\]|\([^()]*\)')
-_VECTOR = re.compile(r"(?:[a-z_.]+\()?(?:'\w',)?\s*\[([^\[\]]*)\][^\[\]]*|[({]([^\[\]]*)[)}]")
-_BETWEEN = re.compile(r"[\s,;|]+")
-_THOUSANDS = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+\.\d*")
-_NUMBER, _PLAIN = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?"), str.maketrans(",dD", ".ee")
-_DATE = re.compile(r"\d{4}-?\d\d-?\d\d[T ]\d\d:?\d\d")
-_CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
-_KIND = {"[": "[", "]": "[", "(": "(", ")": "("}
-#: Characters of the longest number: more digits are no measurement, and take long to read.
-_LONGEST = 400
-#: Characters of a line: 64 for each field of the widest row, the 16 384 columns of a sheet of Excel.
-_LONGEST_LINE, _WIDEST = 2**20, 2**14
-#: Numbers that one table may hold: an hour of 37 columns at 500 Hz, 512 MiB in memory.
-MOST_VALUES = 2**26
-#: Cells of text, 16 columns of as many rows as Excel allows, and bytes of one.
-MOST_CELLS, CELL = 2**24, 64
-#: What programs write for a number that is missing.
-_MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "inf", "-inf"}
+#: Characters of a line: 64 for each field of the widest row.
+_LONGEST_LINE = 2**20
 #: Types of UR's RTDE: code of NumPy, and how many of them.
 _PACKED = {
     **{"BOOL": ("u1", 1), "UINT8": ("u1", 1), "UINT32": ("u4", 1), "UINT64": ("u8", 1), "INT32": ("i4", 1)},
@@ -47,8 +27,6 @@ _PACKED = {
     **{"VECTOR6INT32": ("i4", 6), "VECTOR6UINT32": ("u4", 6)},
 }
 _BLOCK = 2**16
-#: A number, the numbers of a vector, NaN for a word, None for what is missing.
-Cell = float | list[float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,40 +106,6 @@ def _dotted(path: str) -> str:
     return path.strip("/").replace("/", ".")
 
 
-class Row:
-    """Fields of a line. A comment has no data, but it may hold the names of the columns."""
-
-    def __init__(self, fields: list[str], comment: bool = False):
-        self.fields = fields
-        self.comment = comment
-
-    @cached_property
-    def cells(self) -> list[Cell]:
-        """The values of the fields."""
-        return [_cell(field) for field in self.fields]
-
-    @property
-    def width(self) -> int:
-        """Number of data fields."""
-        return 0 if self.comment else len(self.fields)
-
-    @cached_property
-    def is_data(self) -> bool:
-        """Whether at least half of the fields that are not missing are numbers."""
-        known = [cell for cell in self.cells if cell is not None]
-        return not self.comment and 0 < len(known) <= 2 * sum(isinstance(cell, list) or cell == cell for cell in known)
-
-    @cached_property
-    def is_names(self) -> bool:
-        """Whether fields are words, none of which stands for a missing number, or count the columns as in `,0,1,2`."""
-        known = [cell for cell in self.cells if cell is not None]
-        words = all(not isinstance(cell, list) and cell != cell for cell in known)
-        counts = [list(range(first, first + len(self.fields)))[1:] for first in (-1, 0)]
-        if len(self.fields) > 2 and not self.fields[0] and known in counts:
-            return True
-        return bool(known) and words and not any(text and text.lower() in _MISSING for text in self.fields)
-
-
 def _windows(error: UnicodeError) -> tuple[str, int]:
     """What Windows means by bytes that are not UTF-8, such as the ° of `Angle [°]`, and where the rest begins."""
     if not isinstance(error, UnicodeDecodeError):
@@ -182,22 +126,7 @@ def read_text(path: Path) -> ColumnTable:
     if (table := _packed_table(path)) is not None:
         return table
     lines = _lines(path)
-    return _plain_table(path, lines) or table_of_rows(path, _rows(path, lines))
-
-
-def check_size(path: Path, count: int, most: int = MOST_VALUES, size: int = 8) -> None:
-    """Raise InputError if these are more values, each of `size` bytes, than a table may hold."""
-    if count > most:
-        raise InputError(
-            f"{path}: holds more than {most} values ({most * size >> 20} MiB in memory), the limit for one "
-            "table; split the recording, or leave out columns that are not needed"
-        )
-
-
-def check_width(path: Path, row: int, width: int) -> None:
-    """Raise InputError if a row has more fields than a table of samples has columns."""
-    if width > _WIDEST:
-        raise InputError(f"{path}: row {row} has more than {_WIDEST} fields: this is no table of samples, one in a row")
+    return _plain_table(path, lines) or table_of_rows(path, parse_rows(path, lines))
 
 
 def _lines(path: Path) -> list[str]:
@@ -242,15 +171,15 @@ def table_of_rows(path: Path, rows: Sequence[Row]) -> ColumnTable:
     notes = (f"{counted(left_out, 'row')} of numbers outside the longest block, left out",) if left_out else ()
     columns: list[np.ndarray] = []
     words: dict[int, list[str]] = {}
-    kept = [row for row in rows[start:stop] if not row.comment]
-    for place in range(width):
-        column: list[Cell] = [row.cells[place] if row.width == width else np.nan for row in kept]
+    data_rows = [row for row in rows[start:stop] if not row.comment]
+    for index in range(width):
+        column: list[Cell] = [row.cells[index] if row.width == width else np.nan for row in data_rows]
         texts = [
-            row.fields[place] if row.width == width and isinstance(cell, float) and cell != cell else ""
-            for row, cell in zip(kept, column, strict=True)
+            row.fields[index] if row.width == width and isinstance(cell, float) and cell != cell else ""
+            for row, cell in zip(data_rows, column, strict=True)
         ]
         if any(texts):
-            words[place] = texts
+            words[index] = texts
         lengths = Counter(len(cell) for cell in column if isinstance(cell, list))
         if lengths:
             blank = [np.nan] * lengths.most_common(1)[0][0]
@@ -283,11 +212,11 @@ def _packed_table(path: Path) -> ColumnTable | None:
 
 def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
     """The table where every line below the names is of plain numbers, as most are: read at once."""
-    start = next((k for k, line in enumerate(lines) if _row(line, _separator(line)).is_data), None)
+    start = next((k for k, line in enumerate(lines) if parse_row(line, separator_of(line)).is_data), None)
     if start is None:
         return None
-    separator = _separator(lines[start])
-    if '"' in lines[start] or _row(lines[start], separator).is_names:
+    separator = separator_of(lines[start])
+    if '"' in lines[start] or parse_row(lines[start], separator).is_names:
         return None
     plain = [line for line in lines[start:] if not line.lstrip().startswith(("#", "%"))]
     width = len(lines[start].split(separator))
@@ -299,110 +228,8 @@ def _plain_table(path: Path, lines: list[str]) -> ColumnTable | None:
         values = np.loadtxt(numbers, delimiter=separator, ndmin=2, comments=None)
     except ValueError:
         return None
-    heads = _heads([_row(line, separator) for line in lines[: start + 1]], start, values.shape[1])
+    heads = _heads([parse_row(line, separator) for line in lines[: start + 1]], start, values.shape[1])
     return _named(path, heads, list(values.T), {}, ())
-
-
-def _rows(path: Path, lines: list[str]) -> list[Row]:
-    """Fields of lines by the separator that most of them have; a quoted field may go over several lines."""
-    quoted = any('"' in line for line in lines)
-    bare = _HIDDEN.sub("", "\n".join(lines)).split("\n") if quoted else lines or [""]
-    separator = Counter(map(_separator, bare)).most_common(1)[0][0]
-    if quoted:
-        with contextlib.suppress(csv.Error):  # a field of very many characters
-            return _counted(path, (_without_mark(fields) for fields in _quoted(lines, separator) if fields))
-    return _counted(path, (_row(line, separator) for line in lines))
-
-
-def _counted(path: Path, rows: Iterable[Row]) -> list[Row]:
-    """The rows, whose cells are counted as they come.
-
-    Raises:
-        InputError: more than a table may hold.
-    """
-    kept, cells = list[Row](), 0
-    for row in rows:
-        check_width(path, len(kept) + 1, len(row.fields))
-        cells += len(row.fields)
-        check_size(path, cells, MOST_CELLS, CELL)
-        kept.append(row)
-    return kept
-
-
-def _row(line: str, separator: str | None) -> Row:
-    if '"' in line:
-        with contextlib.suppress(csv.Error):
-            return _without_mark(next(_quoted([line], separator)))
-    if "[" in line or "(" in line:
-        return _without_mark(_outside_brackets(line.strip() if separator is None else line, separator))
-    return _without_mark(line.split(separator))
-
-
-def _outside_brackets(line: str, separator: str | None) -> list[str]:
-    """Fields between separators that stand in no [] or (): the next bracket of a kind does not close one.
-
-    From the end on, each mark is looked at once.
-    """
-    apart = r"\s+" if separator is None else re.escape(separator)
-    fields, stop, following = [], len(line), {"[": "", "(": ""}
-    for mark in reversed([*re.finditer(rf"[\[\]()]|{apart}", line)]):
-        if mark[0] in _KIND:
-            following[_KIND[mark[0]]] = mark[0]
-        elif following["["] != "]" and following["("] != ")":
-            fields.append(line[mark.end() : stop])
-            stop = mark.start()
-    return [line[:stop], *reversed(fields)]
-
-
-def _quoted(lines: list[str], separator: str | None) -> Iterator[list[str]]:
-    return csv.reader((line + "\n" for line in lines), delimiter=separator or " ", skipinitialspace=True)
-
-
-def _without_mark(fields: list[str]) -> Row:
-    """A comment without its mark, which may be a field of its own."""
-    fields = [field.strip() for field in fields]
-    if not fields[0].startswith(("#", "%")):
-        return Row(fields)
-    first = fields[0].lstrip("#% \t")
-    return Row([first, *fields[1:]] if first else fields[1:], comment=True)
-
-
-def _separator(line: str) -> str | None:
-    bare = _HIDDEN.sub("", line)
-    return next((mark for mark in (";", "\t", ",", "|") if mark in bare), None)
-
-
-def _cell(text: str) -> Cell:
-    """The value of a field; vectors look like `[0.1, 0.2]` or `0.1 0.2`."""
-    if text.lower() in _MISSING:
-        return None
-    number = _number(text)
-    if number == number or len(text) < 3 or _THOUSANDS.fullmatch(text):
-        return number
-    inner = _VECTOR.fullmatch(text)
-    parts = [part for part in _BETWEEN.split(inner[1] or inner[2] or "" if inner else text) if part]
-    values = [_number(part) for part in parts]
-    known = all(value == value or part.lower() == "nan" for part, value in zip(parts, values, strict=True))
-    return values if known and (len(values) > 1 or (inner and values)) else np.nan
-
-
-def _number(text: str) -> float:
-    """A number (Fortran writes 1D-3, others 0,001), a time of day or a date [s]; NaN for anything else."""
-    if len(text) > _LONGEST:
-        return np.nan
-    try:
-        return float(text)
-    except ValueError:
-        pass
-    if _NUMBER.fullmatch(text):
-        return float(text.translate(_PLAIN))
-    if clock := _CLOCK.fullmatch(text):
-        return 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3].replace(",", "."))
-    if _DATE.match(text):
-        with contextlib.suppress(ValueError, OverflowError):
-            date = datetime.fromisoformat(text.replace(",", "."))
-            return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
-    return np.nan
 
 
 def _blocks(rows: Sequence[Row], width: int) -> list[tuple[int, int]]:
@@ -453,12 +280,12 @@ def _named(
     texts: dict[str, list[str]] = {}
     names = [[text.strip("\"' ") for text in head] for head in heads]
     doubled = {name for head in names for name, count in Counter(head).items() if name and count > 1}
-    for place, column in enumerate(columns):
-        own = [head[place] for head in names if head[place] and head[place] not in doubled]
-        name = own[0] if own and own[0] not in by_name else f"column {place + 1}"
+    for index, column in enumerate(columns):
+        own = [head[index] for head in names if head[index] and head[index] not in doubled]
+        name = own[0] if own and own[0] not in by_name else f"column {index + 1}"
         other_names |= {other: name for other in own if other not in other_names}
-        if place in words:
-            texts[name] = words[place]
+        if index in words:
+            texts[name] = words[index]
         if column.ndim == 2:
             by_name |= {f"{name}[{k + 1}]": part for k, part in enumerate(column.T)}
         else:
