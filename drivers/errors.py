@@ -14,6 +14,11 @@ class DriverError(Exception):
     def __init__(self, message: object = "") -> None:
         super().__init__(printable(hide_all(str(message))))
 
+    @property
+    def asks(self) -> bool:
+        """Whether the message ends in a question, so that advice after it begins a sentence."""
+        return str(self).endswith("?")
+
 
 class ProtocolError(DriverError):
     """The far end does not speak this protocol, or sent a damaged frame."""

@@ -26,8 +26,6 @@ from agent.robot import (
     kinematics_for,
 )
 
-#: The search evaluates the regressor at one sample in this many; limits are checked at every sample.
-EVERY = 10
 #: Joints of a loop end where they began within this [rad, m].
 _CLOSED = 1e-3
 #: [m] A clearance that is short by this much ranks like a limit exceeded by its own size.
@@ -145,7 +143,7 @@ class Candidates:
     def clear(self, trajectory: Trajectory) -> bool:
         """Whether a motion keeps clear of the arm, of the boxes and of the ends of joint ranges, within max_torque."""
         collision = self._cell.check(trajectory, self.problem.settings.fly_distance).collision
-        return collision is None and self._overload(_tenth(trajectory)) is None
+        return collision is None and self._overload(trajectory.thinned()) is None
 
     def _joints(self, poses: np.ndarray) -> tuple[np.ndarray, list[KinematicsError | None]]:
         """Joints at the beginning of loops through poses (N, K, 4, 4), and which have none.
@@ -193,12 +191,12 @@ class Candidates:
 
     def scores(self, genomes: np.ndarray) -> list[LoopScore]:
         """The scores of genomes (N, 6 K), whose loops are worked out together and held at once."""
-        return [self._score(loop, EVERY, self._cell.check) for loop in self.loops(genomes)]
+        return [self._score(loop, self._cell.check) for loop in self.loops(genomes)]
 
     def score_on_all(self, genome: np.ndarray) -> LoopScore:
         """What the result is judged by: the regressor at every sample too, and from each one the way to a stop."""
         (loop,) = self.loops(np.asarray(genome)[None])
-        return self._score(loop, 1, self._cell.check_with_stopping)
+        return self._score(loop, self._cell.check_with_stopping, on_all=True)
 
     def checked_loop(self, genome: np.ndarray) -> Loop | LoopScore:
         """The loop of a genome that keeps all limits, or what `score` says of one that does not: without a fitness."""
@@ -206,26 +204,26 @@ class Candidates:
         checked = self._checked(loop, self._cell.check)
         if isinstance(checked, LoopScore):
             return checked
-        return self._overload(_tenth(checked.trajectory)) or checked
+        return self._overload(checked.trajectory.thinned()) or checked
 
     def _score(
         self,
         loop: Loop | MotionError | KinematicsError,
-        every: int,
         check_cell: Callable[[Trajectory, float], CellReport],
+        on_all: bool = False,
     ) -> LoopScore:
         checked = self._checked(loop, check_cell)
         if isinstance(checked, LoopScore):
             return checked
         trajectory = checked.trajectory
-        tenth = _tenth(trajectory)
+        tenth = trajectory.thinned()
         regressor = self._dynamics.regressor_by_joint(*tenth)
         overload = self._overload(tenth, regressor)
         if overload is not None:
             return overload
-        if every == EVERY:
-            return LoopScore(self._criterion(*tenth, regressor))
-        return LoopScore(self._criterion(trajectory.q[::every], trajectory.qd[::every], trajectory.qdd[::every]))
+        if on_all:
+            return LoopScore(self._criterion(trajectory.q, trajectory.qd, trajectory.qdd))
+        return LoopScore(self._criterion(*tenth, regressor))
 
     def _checked(
         self, loop: Loop | MotionError | KinematicsError, check_cell: Callable[[Trajectory, float], CellReport]
@@ -257,10 +255,6 @@ class Candidates:
         """
         overload = self._limits.overload(*tenth, None if regressor is None else (self._standard @ regressor).T)
         return None if overload is None else infeasible(*overload)
-
-
-def _tenth(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return trajectory.q[::EVERY], trajectory.qd[::EVERY], trajectory.qdd[::EVERY]
 
 
 def via_joints(kinematics: Kinematics, loop: Loop) -> list[np.ndarray]:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 #: Share of the joint speeds at which the arm goes to the first point, and from one piece of motion to the next.
 APPROACH_SPEED = 0.1
-#: Torques are checked at every tenth set-point, as in a search.
-_EVERY = 10
 #: Rad or m by which an arm that comes round again may start elsewhere on the same way: joints written in a program, and
 #: those that inverse kinematics gives for a pose, differ in their last digits.
 _SAME = 1e-6
@@ -154,8 +152,7 @@ def check_load(limits: TorqueLimits | None, trajectory: Trajectory) -> None:
     Raises:
         InputError: names the joint, what it would need and what it has.
     """
-    tenth = (trajectory.q[::_EVERY], trajectory.qd[::_EVERY], trajectory.qdd[::_EVERY])
-    if limits is not None and (overload := limits.overload(*tenth)) is not None:
+    if limits is not None and (overload := limits.overload(*trajectory.thinned())) is not None:
         raise InputError(f"with the mass at the flange {overload[1]}: mount a lighter one, or move more slowly")
 
 

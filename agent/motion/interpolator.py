@@ -11,6 +11,9 @@ import numpy as np
 from agent.core import InputError
 from agent.motion.program import Statement
 
+#: Torques along a motion are worked out at one sample in this many; limits of joints and tool are checked at each.
+TORQUE_STRIDE = 10
+
 
 @dataclass(frozen=True)
 class BindingLimit:
@@ -42,6 +45,10 @@ class Trajectory:
     def duration(self) -> float:
         """Seconds from the first sample to the last."""
         return float(self.t[-1] - self.t[0])
+
+    def thinned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q, q̇ and q̈ (S', n) at one sample in `TORQUE_STRIDE`, for the torque that the motion needs."""
+        return self.q[::TORQUE_STRIDE], self.qd[::TORQUE_STRIDE], self.qdd[::TORQUE_STRIDE]
 
 
 class LazyTrajectory(Trajectory):

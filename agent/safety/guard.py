@@ -220,7 +220,7 @@ class GuardedLink:
         over = False
         lost: DriverError | None = None
 
-        def samples() -> Generator[SampleBlock, None, None]:
+        def watched() -> Generator[SampleBlock, None, None]:
             nonlocal over
             with suppress(*(DriverError,) if lost else ()):  # it only repeats what was lost
                 yield from watch.samples()
@@ -228,25 +228,25 @@ class GuardedLink:
                 raise lost
             over = True
 
-        given = samples()
+        samples = watched()
         gc.freeze()  # all that is here stays: to look through it again takes up to a second, in which nobody watches
         # Closed last, after any stop, and here: whoever keeps an error keeps what is left of the samples with it, and
         # a watch that ends with the interpreter would wait for a thread that is gone.
-        with closing(given), stop_to_come():
+        with closing(samples), stop_to_come():
             self._watch = watch
             try:
                 with self._advice(_AFTER_MOTION, _AFTER_MOTION):
                     lost = self._start(program, watch)
-                    yield given
+                    yield samples
             except RefusedError:
                 raise
             except BaseException as error:
                 if not over:
-                    self._settle(watch, given, keep, error)
+                    self._settle(watch, samples, keep, error)
                 raise
             else:
                 if not over:
-                    self._settle(watch, given, keep)
+                    self._settle(watch, samples, keep)
             finally:
                 self._watch = None
         if over and program.chains and not self._emulator and not self._unseen:  # it moved, slowly or known before
@@ -326,7 +326,7 @@ class GuardedLink:
     def _settle(
         self,
         watch: MotionWatch,
-        given: Generator[SampleBlock, None, None],
+        samples: Generator[SampleBlock, None, None],
         keep: Callable[[SampleBlock], object],
         error: BaseException | None = None,
     ) -> None:
@@ -337,7 +337,7 @@ class GuardedLink:
         """
         with undisturbed():
             watch.stopping.request()
-            given.close()
+            samples.close()
             for block in () if watch.stopping.over else watch.drain():
                 with suppress(Exception):  # a disk that is full, most likely: the arm is followed all the same
                     keep(block)
@@ -347,11 +347,10 @@ class GuardedLink:
             self._warn(f"{self.address}: the arm was stopped and stands; the log of this motion ends here")
 
     @contextmanager
-    def _advice(self, what: str, if_asked: str = "put that right, then run the command again") -> Iterator[None]:
+    def _advice(self, remedy: str, if_asked: str = "put that right, then run the command again") -> Iterator[None]:
         """Errors of the driver leave with what to do about them; some ask after it already."""
         try:
             yield
         except DriverError as error:
-            asked = str(error).endswith("?")
-            advice = f" {if_asked[0].upper()}{if_asked[1:]}" if asked else f"; {what}"
+            advice = f" {if_asked[0].upper()}{if_asked[1:]}" if error.asks else f"; {remedy}"
             raise type(error)(f"{error}{advice}") from None

@@ -21,6 +21,7 @@ from agent.motion.pdl2.settings import Pdl2Settings
 from agent.motion.regions import BoxRegion
 from agent.recipe import load_recipe, template
 from agent.robot import Dynamics, TorqueLimits, kinematics_for
+from agent.safety.planned_program import standstill_plan
 from tests.small_arms import make_arm
 
 ARM = make_arm("RRRRRR")
@@ -107,9 +108,8 @@ def test_refuses_an_overloading_program_before_motion(monkeypatch, tmp_path: Pat
 
 def test_warns_of_joints_without_max_torque(capsys):
     unknown = replace(ARM, joints=tuple(replace(joint, max_torque=None) for joint in ARM.joints))
-    told: list[str] = []
-    console = SimpleNamespace(warn=told.append)
+    warnings: list[str] = []
+    console = SimpleNamespace(warn=warnings.append)
     limits = torque_limits(SimpleNamespace(robot=unknown, tool=None), LOAD, console)
-    assert "has no max_torque for joint_1" in told[0]
-    q = np.zeros((10, 6))
-    check_load(limits, SimpleNamespace(q=q, qd=q, qdd=q))
+    assert "has no max_torque for joint_1" in warnings[0]
+    check_load(limits, standstill_plan(np.zeros(6)))
