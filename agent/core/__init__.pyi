@@ -40,7 +40,13 @@ from .files import (
     write_atomically as write_atomically,
     written_whole as written_whole,
 )
-from .formats import counted as counted, csv_text as csv_text, error_text as error_text, plus_minus as plus_minus
+from .formats import (
+    comma_list as comma_list,
+    counted as counted,
+    csv_text as csv_text,
+    error_text as error_text,
+    plus_minus as plus_minus,
+)
 from .numerics import (
     keep_freed_memory as keep_freed_memory,
     on_one_blas_thread as on_one_blas_thread,

@@ -30,6 +30,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def comma_list(names: Sequence[str], most: int) -> str:
+    """Names for a message, with … for those after the first `most`."""
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "")
+
+
 def plus_minus(value: float, half: float) -> str:
     """A value with half of its interval, to two digits of the latter: "4.003 ± 0.021"; four digits without one."""
     if not math.isfinite(half) or half <= 0:

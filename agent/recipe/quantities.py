@@ -45,7 +45,7 @@ _POSITION = {"anyOf": [{"type": "number"}, {"type": "string"}], "description": "
 JointPosition = Annotated[float | str, BeforeValidator(_joint_position), WithJsonSchema(_POSITION)]
 
 
-def _listed(names: str, count: int) -> BeforeValidator:
+def _list_of(names: str, count: int) -> BeforeValidator:
     def check(value: Any) -> Any:
         if not isinstance(value, (list, tuple)) or len(value) != count:
             got = f"{len(value)} values" if isinstance(value, (list, tuple)) else type(value).__name__
@@ -58,22 +58,22 @@ def _listed(names: str, count: int) -> BeforeValidator:
 _FARTHEST = 100.0  # m: farther than any arm on any track
 _Place = Annotated[Place, Field(ge=-_FARTHEST, le=_FARTHEST)]
 _Heading = Annotated[Angle, Field(ge=-2 * FULL_TURN, le=2 * FULL_TURN)]
-Position = Annotated[tuple[_Place, _Place, _Place], _listed("x, y, z", 3)]
-Orientation = Annotated[tuple[_Heading, _Heading, _Heading], _listed("a, e, r", 3)]
-Pose = Annotated[tuple[_Place, _Place, _Place, _Heading, _Heading, _Heading], _listed("x, y, z, a, e, r", 6)]
+Position = Annotated[tuple[_Place, _Place, _Place], _list_of("x, y, z", 3)]
+Orientation = Annotated[tuple[_Heading, _Heading, _Heading], _list_of("a, e, r", 3)]
+Pose = Annotated[tuple[_Place, _Place, _Place, _Heading, _Heading, _Heading], _list_of("x, y, z, a, e, r", 6)]
 
 _ToolPlace = Annotated[Reach, Field(ge=-_FARTHEST, le=_FARTHEST)]
-ToolPosition = Annotated[tuple[_ToolPlace, _ToolPlace, _ToolPlace], _listed("x, y, z", 3)]
+ToolPosition = Annotated[tuple[_ToolPlace, _ToolPlace, _ToolPlace], _list_of("x, y, z", 3)]
 ToolPose = Annotated[
-    tuple[_ToolPlace, _ToolPlace, _ToolPlace, _Heading, _Heading, _Heading], _listed("x, y, z, a, e, r", 6)
+    tuple[_ToolPlace, _ToolPlace, _ToolPlace, _Heading, _Heading, _Heading], _list_of("x, y, z, a, e, r", 6)
 ]
 
 _Extent = Annotated[Reach, Field(ge=0, le=_FARTHEST)]
 Radius = Annotated[Reach, Field(ge=1e-4, le=_FARTHEST)]
 _Turn = Annotated[Lean, Field(ge=0, le=FULL_TURN)]
-JointRange = Annotated[tuple[JointPosition, JointPosition], _listed("lower, upper", 2)]
-Extent = Annotated[tuple[_Extent, _Extent, _Extent], _listed("dx, dy, dz", 3)]
-Range = Annotated[tuple[_Extent, _Extent, _Extent, _Turn, _Turn, _Turn], _listed("dx, dy, dz, da, de, dr", 6)]
+JointRange = Annotated[tuple[JointPosition, JointPosition], _list_of("lower, upper", 2)]
+Extent = Annotated[tuple[_Extent, _Extent, _Extent], _list_of("dx, dy, dz", 3)]
+Range = Annotated[tuple[_Extent, _Extent, _Extent, _Turn, _Turn, _Turn], _list_of("dx, dy, dz, da, de, dr", 6)]
 Name = Annotated[str, Field(min_length=1, max_length=200, strict=True)]
 Count = Annotated[int, Field(strict=True)]
 Seed = Annotated[Count, Field(ge=0, lt=2**32)]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import Dimension, InputError, counted, parse_quantity
+from agent.core import Dimension, InputError, comma_list, counted, parse_quantity
 from agent.recording.column_names import contradiction, named_joints
 from agent.recording.joined_columns import TimedColumn, join, one_clock
 from agent.recording.log import ARRAYS, NANO
@@ -76,7 +76,7 @@ def tables_of_joints(mapping: Mapping, tables: list[ColumnTable]) -> list[Column
             mapping.fault("rows.column", table.missing([wanted.column]))
         values = np.unique(table.words.get(name, table.columns[name]))
         mapping.fault(
-            "rows.equals", f"{table.path.name}: not all of these are in column {name}; there are {_listed(values)}"
+            "rows.equals", f"{table.path.name}: not all of these are in column {name}; there are {_values_text(values)}"
         )
     return [part or table for part, table in zip(parts, tables, strict=True)]
 
@@ -89,14 +89,14 @@ def one_joint_a_row(tables: Sequence[ColumnTable]) -> str:
             if 1 < len(values) <= _SHOWN_VALUES and "" not in values:
                 return (
                     f". If each row of {table.path.name} is of one joint, write "
-                    f"rows: {{column: {name}, equals: [{_listed(values)}]}}, the joints from base to tip"
+                    f"rows: {{column: {name}, equals: [{_values_text(values)}]}}, the joints from base to tip"
                 )
     return ""
 
 
-def _listed(values: np.ndarray) -> str:
-    shown = (f"{value:g}" if isinstance(value, float) else str(value) for value in values[:_SHOWN_VALUES].tolist())
-    return ", ".join(shown) + (", …" if len(values) > _SHOWN_VALUES else "")
+def _values_text(values: np.ndarray) -> str:
+    shown = values[: _SHOWN_VALUES + 1].tolist()
+    return comma_list([f"{value:g}" if isinstance(value, float) else str(value) for value in shown], _SHOWN_VALUES)
 
 
 class Source:
@@ -251,7 +251,7 @@ class Source:
             selected = column == wanted.equals
             if not selected.any():
                 values = np.unique(column[np.isfinite(column)])
-                fault("rows.equals", f"no row has {wanted.column} {wanted.equals}; there are {_listed(values)}")
+                fault("rows.equals", f"no row has {wanted.column} {wanted.equals}; there are {_values_text(values)}")
             self.notes.append(f"{selected.sum()} of {len(time)} rows have {wanted.column} {wanted.equals}")
         repeats = selected & np.append(False, np.diff(time) == 0)
         if self.mapping.preset and repeats.any():

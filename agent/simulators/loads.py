@@ -157,13 +157,13 @@ def _errors(
 
 def _universal_robots(load: IdentifiedLoad) -> str:
     inertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    return f"set_target_payload({_number(load.mass)}, [{_listed(load.centre)}], [{_listed(inertia)}])"
+    return f"set_target_payload({_number(load.mass)}, [{_vector(load.centre)}], [{_vector(inertia)}])"
 
 
 def _abb(load: IdentifiedLoad) -> str:
     moments, rotation = load.principal()
     x, y, z, w = rotation.as_quat()
-    parts = f"[{_listed(1e3 * load.centre)}],[{_listed([w, x, y, z])}],{_listed(moments)}"
+    parts = f"[{_vector(1e3 * load.centre)}],[{_vector([w, x, y, z])}],{_vector(moments)}"
     return f"PERS loaddata identified_load:=[{_number(load.mass)},{parts}];"
 
 
@@ -190,7 +190,7 @@ def _franka(load: IdentifiedLoad) -> str:
 def _comau(load: IdentifiedLoad) -> str:
     inertia = load.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     elements = (f"$TOOL_INERTIA[{k}] := {_number(value)}" for k, value in enumerate(inertia, 1))
-    centre = f"$TOOL_CNTR := POS({_listed(1e3 * load.centre)}, 0, 0, 0, '')"
+    centre = f"$TOOL_CNTR := POS({_vector(1e3 * load.centre)}, 0, 0, 0, '')"
     check = "-- Check in the controller's manual about which point its inertia counts"
     return "\n".join([check, f"$TOOL_MASS := {_number(load.mass)}", centre, *elements])
 
@@ -253,5 +253,5 @@ def _number(value: float) -> str:
     return np.format_float_positional(round(float(value), 10) + 0.0, trim="0")
 
 
-def _listed(values: np.ndarray | list[float]) -> str:
+def _vector(values: np.ndarray | list[float]) -> str:
     return ", ".join(map(_number, values))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, counted, read_json, sha256_file, sha256_text
+from agent.core import InputError, comma_list, counted, read_json, sha256_file, sha256_text
 from agent.recording.datasets.episodes import FRAME_NUMBER, HELD, HOLD, STAMPS, UNITS, Episode, Recorded
 from agent.recording.datasets.joints import clean, flat_names, poses, quantity_of
 from agent.recording.datasets.units import in_radians
@@ -107,7 +107,7 @@ def _names(features: dict[str, Any], feature: str) -> list[str]:
 def _joints(path: Path, states: list[str]) -> list[str]:
     """Columns of the state that are positions of joints, as `info.json` names them."""
     joints = [name for name in states if quantity_of(name) == "position"]
-    listed = _listed(states)
+    listed = comma_list(states, _LISTED) or "none"
     if not joints or poses(joints):
         raise InputError(
             f"{path / INFO}: the names of {_STATE} are no joints: {listed}. Joint positions with their names are "
@@ -129,21 +129,17 @@ def _set_points(path: Path, joints: list[str], actions: list[str]) -> list[int] 
         return None
     if ends := poses(actions):
         raise InputError(
-            f"{path}: the actions are of the end effector ({_listed(ends)}), not set-points of the joints. Without "
-            "set-points no servo can be identified: record the joint targets that the robot was sent"
+            f"{path}: the actions are of the end effector ({comma_list(ends, _LISTED)}), not set-points of the joints. "
+            "Without set-points no servo can be identified: record the joint targets that the robot was sent"
         )
     named = [clean(name) for name in actions if quantity_of(name) == "position"]
     if missing := [name for name in map(clean, joints) if name not in named]:
         raise InputError(
-            f"{path}: states and actions are of different joints: {_listed(missing)} has no set-point; the actions "
-            f"are {_listed(actions)}. Record leader and follower of one arm"
+            f"{path}: states and actions are of different joints: {comma_list(missing, _LISTED)} has no set-point; the "
+            f"actions are {comma_list(actions, _LISTED)}. Record leader and follower of one arm"
         )
-    places = {clean(name): k for k, name in enumerate(actions) if quantity_of(name) == "position"}
-    return [places[clean(name)] for name in joints]
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "") or "none"
+    columns = {clean(name): k for k, name in enumerate(actions) if quantity_of(name) == "position"}
+    return [columns[clean(name)] for name in joints]
 
 
 def _episodes_in(file: Path, columns: dict[str, tuple[list[int] | None, int]]) -> Iterator[tuple[int, _Frames]]:

@@ -155,8 +155,8 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
         kind = f"stamps say {rate:.6g} Hz, the log says {nominal_rate:.6g} Hz; samples"
         repairs.append(Repair(kind, 0.0, len(stamp)))
     gap = hole & too_long()
-    repairs += _listed("gap, missing samples", time[:-1][gap], missing[gap])
-    repairs += _listed("missing samples, short enough to interpolate", time[:-1][hole & ~gap], missing[hole & ~gap])
+    repairs += _repairs_of("gap, missing samples", time[:-1][gap], missing[gap])
+    repairs += _repairs_of("missing samples, short enough to interpolate", time[:-1][hole & ~gap], missing[hole & ~gap])
     repairs += Repair.of("uneven intervals, kept", time[:-1], uneven())
     edges = [0, *(np.flatnonzero(gap) + 1).tolist(), len(stamp)]
     return Spacing(rate, tuple(pairwise(edges)), tuple(repairs), even)
@@ -222,7 +222,7 @@ def _spread(stamp: np.ndarray) -> np.ndarray:
     return distinct[0] + np.interp(np.arange(len(stamp)), np.append(start, len(stamp)), known).astype(np.int64)
 
 
-def _listed(kind: str, times: np.ndarray, counts: np.ndarray) -> list[Repair]:
+def _repairs_of(kind: str, times: np.ndarray, counts: np.ndarray) -> list[Repair]:
     if len(times) <= _LISTED:
         return [Repair(kind, float(time), int(count)) for time, count in zip(times, counts, strict=True)]
     return [Repair(f"{kind}, in {len(times)} places, the first", float(times[0]), int(counts.sum()))]
