@@ -133,7 +133,7 @@ def _final(candidates: Candidates, history: _History) -> tuple[np.ndarray, float
     order = ranking(scores)
     useful = [int(k) for k in order if scores[k].feasible and np.isfinite(scores[k].fitness)]
     if not useful:
-        raise InputError(_hopeless(scores[order[0]], len(scores)))
+        raise InputError(_no_loop_text(scores[order[0]], len(scores)))
     last = scores[useful[0]]
     for first in range(0, len(useful), FINALISTS):
         group = useful[first : first + FINALISTS]
@@ -143,10 +143,10 @@ def _final(candidates: Candidates, history: _History) -> tuple[np.ndarray, float
             table = np.array([[scores[k].fitness, new.fitness] for k, new in zip(group, again, strict=True)])
             return genomes[group[winner]], again[winner].fitness, table
         last = again[winner]
-    raise InputError(_hopeless(last, len(scores)))
+    raise InputError(_no_loop_text(last, len(scores)))
 
 
-def _hopeless(best: LoopScore, count: int) -> str:
+def _no_loop_text(best: LoopScore, count: int) -> str:
     if best.feasible:
         return (
             f"none of {count} loops excites every parameter: the sub-region is too small, or the arm too slow in it; "

@@ -43,7 +43,7 @@ def answering(recipe: Recipe) -> Iterator[tuple[Driver, Identity]]:
     try:
         driver.connect()
         identity = driver.identify()
-        check_identity(identity, recipe.robot, recipe.controller.place)
+        check_identity(identity, recipe.robot, recipe.controller.public_address)
         yield driver, identity
     finally:
         driver.close()

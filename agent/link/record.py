@@ -230,7 +230,7 @@ def open_link(
         guard = GuardedLink(
             driver,
             recipe.robot,
-            controller.place,
+            controller.public_address,
             recipe.record.rate,
             CheckedPrograms(runs / FILE),
             console.confirm,
@@ -245,7 +245,7 @@ def open_link(
             guard.open()
             who = guard.identity
             console.detail(f"{who.robot}, serial {who.serial}, {who.controller} {who.version}")
-            if remark := check_effort(driver, recipe.robot, recipe.tool, controller.place):
+            if remark := check_effort(driver, recipe.robot, recipe.tool, controller.public_address):
                 console.warn(remark)
             yield RobotLink(guard, recipe, console, {**torque_facts(recipe, driver), **facts}, limits)
         finally:

@@ -108,8 +108,8 @@ def _ask_who_answers(job: Job) -> None:
     recipe = job.recipe
     with answering(recipe) as (_, identity):
         if not identity.watch_only:
-            check_period(identity, recipe.record.rate, recipe.controller.place)
-    job.console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.place}")
+            check_period(identity, recipe.record.rate, recipe.controller.public_address)
+    job.console.say(f"{identity.robot}, serial {identity.serial}, answers at {recipe.controller.public_address}")
 
 
 def _estimate(job: Job) -> IdentifiedModel:

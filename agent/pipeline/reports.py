@@ -105,7 +105,7 @@ def about_run(kind: str, recipe: Recipe, result: dict[str, Any], run: Path) -> A
         ("robot", result["robot"]),
         ("serial", result["serial"] or "not reported"),
         ("tool", "none" if recipe.tool is None else recipe.tool.text()),
-        ("controller", f"{recipe.controller.driver} {recipe.controller.place}"),
+        ("controller", f"{recipe.controller.driver} {recipe.controller.public_address}"),
         ("date", provenance["started"].replace("T", " ").removesuffix("+00:00")[:16] + " UTC"),
         ("run", run.name),
         ("current model", current_model_text(current, run.name)),

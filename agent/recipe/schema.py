@@ -66,7 +66,7 @@ class ControllerSection(RecipeSection):
         return {} if self.effort is None else {"effort": self.effort}
 
     @property
-    def place(self) -> str:
+    def public_address(self) -> str:
         """The address without its options, for people."""
         return place_of(self.address)
 

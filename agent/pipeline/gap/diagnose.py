@@ -41,19 +41,19 @@ def diagnose_files(
     paths: Sequence[Path],
     question: GapQuestion,
     console: Console,
-    told: Callable[[dict[str, Any]], None] = lambda result: None,
+    on_result: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Diagnose logs; returns the result of docs/diagnosis.md, and writes what is asked for.
 
-    Without a `robot` the model describes the arm. `told` is called with the result, once the page is written: before a
-    further motion is planned, after that, and if the planning fails or is stopped.
+    Without a `robot` the model describes the arm. `on_result` is called with the result, once the page is written:
+    before a further motion is planned, after that, and if the planning fails or is stopped.
 
     Args:
         robot: description, its name or file; None: the model describes the arm.
         paths: of the logs.
         question: model, what to leave out, and what to write.
         console: where progress and warnings are shown.
-        told: called with every result.
+        on_result: called with every result.
 
     Raises:
         InputError: a robot, model or log that cannot be used, an unknown effect, or an output that cannot be written.
@@ -63,7 +63,7 @@ def diagnose_files(
     question.check(paths)
     run = run_diagnosis(arm, paths, question, console)
     for result in _published(run, question, console, source, paths):
-        told(result)
+        on_result(result)
     return result
 
 
@@ -74,12 +74,12 @@ def diagnose_recording(
     runs: Path,
     yes: bool,
     budget: float | None = None,
-    told: Callable[[dict[str, Any]], None] = lambda result: None,
+    on_result: Callable[[dict[str, Any]], None] = lambda result: None,
 ) -> dict[str, Any]:
     """Record the recipe's motions into a run folder, then diagnose them; result and report are in the folder too.
 
-    With a `budget` [s of motion], further motions follow until the cause is settled (`until_sure`). `told` is called
-    once the result is in the run folder, also if a further motion is cut short.
+    With a `budget` [s of motion], further motions follow until the cause is settled (`until_sure`). `on_result` is
+    called once the result is in the run folder, also if a further motion is cut short.
 
     Args:
         recipe: whose motions are recorded.
@@ -88,7 +88,7 @@ def diagnose_recording(
         runs: folder of runs.
         yes: whether motion may begin without a question.
         budget: further motion that is allowed [s]; None: none.
-        told: called with every result.
+        on_result: called with every result.
 
     Raises:
         AgentError, DriverError: as in `agent calibrate`, before anything moves or after a controlled stop.
@@ -120,19 +120,19 @@ def diagnose_recording(
         if budget is not None:
             remaining = budget - sum(recorded.duration for recorded in recordings)
             with job.step("rounds"):
-                found_in = partial(run_diagnosis, loaded.robot, question=question, console=console)
-                rounds = until_sure(found_in, paths, job, remaining, question.planning_budget)
+                diagnose = partial(run_diagnosis, loaded.robot, question=question, console=console)
+                rounds = until_sure(diagnose, paths, job, remaining, question.planning_budget)
                 if rounds.cut_short is not None:
                     more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
                     console.say(f"result of the earlier motions: {in_short(rounds.last.result)}{more or ''}")
                     try:
-                        _answer_run(job, question, paths, simulator, told, rounds)
+                        _answer_run(job, question, paths, simulator, on_result, rounds)
                         console.say(f"the full result is in {run.path}")
                     except AgentError as error:  # a full disk both cuts a motion short and prevents this
                         console.warn(f"the result could not be saved: {error}")
                     raise rounds.cut_short
         with job.step("diagnose"):
-            result = _answer_run(job, question, paths, simulator, told, rounds)
+            result = _answer_run(job, question, paths, simulator, on_result, rounds)
         run.complete(True)
         ended = job.end(result, f"{'page':20}{run.file('report.html')}")
     console.say(ended.text)
@@ -163,7 +163,7 @@ def _answer_run(
     question: GapQuestion,
     paths: Sequence[Path],
     simulator: Simulator | None,
-    told: Callable[[dict[str, Any]], None],
+    on_result: Callable[[dict[str, Any]], None],
     rounds: Rounds | None,
 ) -> dict[str, Any]:
     """Result and page of all motions of a run, written into its folder; `paths` are the logs before the `rounds`."""
@@ -174,7 +174,7 @@ def _answer_run(
     page = job.run.file("report.html")
     for result in _published(diagnosed, question, job.console, job.recipe.robot_source, shown, rounds, page):
         job.run.write_json("result.json", result)
-        told(result)
+        on_result(result)
     return result
 
 

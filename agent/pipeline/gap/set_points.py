@@ -122,15 +122,17 @@ def next_set_points(
     limits, share = (plan := plan_set_points(servo_arm(path), _RATE)).limits, plan.share
     tried = {EXCITATIONS: "all of them", **{(kind,) * len(EXCITATIONS): kind for kind in EXCITATIONS}}
     motions = {name: excitation(limits, float(_FPS), share, kinds)[0] for kinds, name in tried.items()}
-    told = separations(diagnosis, simulator, {name: (ran.time, ran.set_points) for name, ran in motions.items()})
-    if not told:
+    pairs = separations(
+        diagnosis, simulator, {name: (motion.time, motion.set_points) for name, motion in motions.items()}
+    )
+    if not pairs:
         console.warn(f"no effect or number is open, so nothing is written to {folder}")
         return None
-    chance = {kinds: float(np.mean([pair.after[name] for pair in told])) for kinds, name in tried.items()}
+    chance = {kinds: float(np.mean([pair.after[name] for pair in pairs])) for kinds, name in tried.items()}
     best = max(chance, key=lambda kinds: chance[kinds])
     best = EXCITATIONS if chance[EXCITATIONS] >= chance[best] - _ALIKE else best
-    separates = sorted({name for pair in told for name in pair.names})
-    if chance[best] < float(np.mean([pair.before for pair in told])) + _HELPS:
+    separates = sorted({name for pair in pairs for name in pair.names})
+    if chance[best] < float(np.mean([pair.before for pair in pairs])) + _HELPS:
         return {"separates": separates, "motion": f"{_NO_MOTION} {_OTHERWISE}", "program": None}
     files = write_set_points(plan_set_points(servo_arm(path), _RATE, best), folder)
     motion = files.plan.motions[0]
@@ -148,7 +150,7 @@ def next_set_points(
                 "after_if": [pair.after[tried[best]], None],
                 "smallest_over_practical": None,
             }
-            for pair in told
+            for pair in pairs
         ],
     }
 

@@ -87,7 +87,7 @@ def _feasible(recipe: Recipe, speed: float, seed: int, console: Console) -> str:
 
 
 def _controller(recipe: Recipe) -> str:
-    address = recipe.controller.place
+    address = recipe.controller.public_address
     with answering(recipe) as (driver, identity):
         if not identity.watch_only:
             check_period(identity, recipe.record.rate, address)
