@@ -12,6 +12,7 @@ from .identification import (
     EstimationSettings as EstimationSettings,
     estimate as estimate,
 )
+from .late_torque import torque_delay as torque_delay, with_torque_in_time as with_torque_in_time
 from .model_building import beyond_fit as beyond_fit, known_positions as known_positions
 from .normal_equations import inverse as inverse, solve_scaled as solve_scaled
 from .observation import Observation as Observation, check_log as check_log, observe as observe

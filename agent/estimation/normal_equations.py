@@ -133,7 +133,7 @@ def observed_standstill_speed(observation: Observation) -> np.ndarray:
 
 
 _RANK = 1e-12  # eigenvalue of a scaled normal matrix, relative: a singular value of 1e-6
-_CERTAIN = 2.0  # standard errors, of a gain that decides
+CERTAIN = 2.0  # standard errors, of a gain that decides
 
 
 def solve_sum(total: np.ndarray, prior: Prior, prior_weight: float) -> np.ndarray:
@@ -246,4 +246,4 @@ def clearly_better(before: np.ndarray, after: np.ndarray, least: float) -> bool:
     if np.count_nonzero(seen) < 2:
         return False
     gain = np.log(before[seen] / after[seen])
-    return bool(gain.mean() > max(-np.log1p(-least), _CERTAIN * gain.std(ddof=1) / np.sqrt(len(gain))))
+    return bool(gain.mean() > max(-np.log1p(-least), CERTAIN * gain.std(ddof=1) / np.sqrt(len(gain))))

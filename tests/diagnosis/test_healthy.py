@@ -110,11 +110,9 @@ def test_a_joint_whose_logs_would_not_have_shown_what_another_has_may_have_as_mu
 def test_torque_that_the_recorder_of_the_only_log_delays_is_no_fault(plant):
     logs = [changed(record(plant, *motion), 6e-3) for motion in (("only", 21, 0.5), ("new", 31))]
     plain = estimate(plant.robot, logs[:1])
-    causes = [
-        [cause["effect"] for cause in diagnose(plant.robot, logs[1:], one).result["causes"]]
-        for one in (plain, with_healthy_effects(plain, logs[:1]))
-    ]
-    assert causes == [["time_delay"], []]
+    model = with_healthy_effects(plain, logs[:1])
+    assert "time_delay" in {entry.effect for entry in model.healthy}
+    assert [diagnose(plant.robot, logs[1:], one).result["causes"] for one in (plain, model)] == [[], []]
 
 
 def filtered(monkeypatch, work):

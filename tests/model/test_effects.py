@@ -18,7 +18,7 @@ from agent.model import CATALOGUE
         ("joint_elasticity", {"stiffness": 1e4, "damping": 0.1}, 1),
         ("torque_ripple", {"order": 40.0, "harmonics": 2.0}, 1),
         ("wrist_coupling", {"ratio": 0.3, "free": 1.0}, 1),
-        ("time_delay", {"delay": 0.002, "reversal": 0.5}, 1),
+        ("time_delay", {"delay": 0.002}, 0),
         ("contact", {"log_1": 0.0, "link_1": 2.0, "start_1": 1.0, "duration_1": 0.5}, 4),
         ("payload", {"m0": 1.0, "hx0": 0.0, "hy0": 0.0, "hz0": 0.1}, 0),
         ("inertial_mismatch", {"link": 2.0}, 0),

@@ -24,6 +24,7 @@ from agent.estimation import (
     estimate,
     observe,
     physical_prior,
+    with_torque_in_time,
 )
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
 from agent.recording import Log
@@ -268,8 +269,15 @@ def precision_of(covariance: np.ndarray) -> np.ndarray:
 
 
 def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | None) -> IdentifiedModel:
-    """A model of bodies and direction-independent friction, fitted to the logs: the remainder is the gap."""
-    model = estimate(robot, logs, EstimationSettings.create(cutoff=cutoff))
+    """A model of bodies and direction-independent friction, fitted to the logs: the remainder is the gap.
+
+    A delay of the torque is no part of the model. It is taken out before, unless other motion is then predicted worse:
+    an elastic gear looks late, too.
+    """
+    settings = EstimationSettings.create(cutoff=cutoff)
+    model = estimate(robot, logs, settings)
+    if (in_time := with_torque_in_time(robot, logs, cutoff)) is not None:
+        model = min(estimate(robot, in_time, settings), model, key=lambda m: float(np.log(m.held_out_rmse).sum()))
     count = len(model.independent)
     alike = [k for k, term in enumerate(model.terms) if term.form not in ("offset", "viscous_asymmetry")]
     kept = np.array([*range(count), *(count + k for k in alike)])
