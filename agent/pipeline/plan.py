@@ -158,8 +158,14 @@ def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
     candidates, wanted = Candidates(loop_problem(recipe, recipe.validate.speed)), recipe.validate.motions
     rng = np.random.default_rng(recipe.validate.seed)
     loops: list[Loop] = []
-    reason = ""
-    for draw in range(_MAX_DRAWS):
+    draws, reason = 0, ""
+    while len(loops) < wanted:
+        if draws == _MAX_DRAWS:
+            raise InputError(
+                f"only {len(loops)} of {_MAX_DRAWS} random motions in the sub-region keep all limits at "
+                f"{recipe.validate.speed:g} m/s; the last one: {reason}. Move or shrink motion.via_points"
+            )
+        draws += 1
         loop = candidates.checked_loop(rng.uniform(size=candidates.problem.genes))
         if isinstance(loop, LoopScore):
             reason = loop.reason
@@ -170,11 +176,5 @@ def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
             reason = str(error)
             continue
         loops.append(loop)
-        broken = draw + 1 - len(loops)
-        console.progress(f"{len(loops)} of {wanted} drawn, {broken} broke a limit", len(loops) / wanted)
-        if len(loops) == wanted:
-            return loops
-    raise InputError(
-        f"only {len(loops)} of {_MAX_DRAWS} random motions in the sub-region keep all limits at "
-        f"{recipe.validate.speed:g} m/s; the last one: {reason}. Move or shrink motion.via_points"
-    )
+        console.progress(f"{len(loops)} of {wanted} drawn, {draws - len(loops)} broke a limit", len(loops) / wanted)
+    return loops

@@ -70,8 +70,9 @@ class RtdeConnection(UrConnection):
             case "I":
                 self._set_up_inputs(payload)
             case "S":
-                self._reply("S", bytes([self._outputs is not None]))
+                # the other way round, a cell in no hurry could run through a program before its samples are sent
                 self._started = self._outputs is not None
+                self._reply("S", bytes([self._started]))
             case "P":
                 self._started = False
                 self._reply("P", b"\1")
