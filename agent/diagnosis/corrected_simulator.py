@@ -48,7 +48,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     if servos is not None and _moves_worse(diagnosis, change):
         loads = (group for group in groups_of(diagnosis.dataset) if group.kind == LOAD)
         change, groups = servos.about, (*drive_groups(diagnosis.dataset), *loads)
-    weight = fit.gram[:, :b, :b].sum(axis=0) / fit.repeat
+    weight = fit.gram[:, :b, :b].sum(axis=0) / fit.rows_per_independent
     closes = {step.step: step.closes for step in diagnosis.document.waterfall}
 
     def reason(step: str) -> str:
@@ -74,7 +74,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     effects += reversing
     reasons |= {(effect.effect, effect.joints): "how friction reverses" for effect in reversing}
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
-    unexplained = fit.error(fit.transient) / fit.repeat
+    unexplained = fit.error(fit.transient) / fit.rows_per_independent
     correction = correct(simulator, of_model, weight, unexplained, inertia, effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap
     model = replace(
@@ -137,7 +137,7 @@ def held_out_errors(diagnosis: Diagnosis, simulator: Simulator) -> tuple[np.ndar
     reverses at once. What the fit gains and these lose is no gain.
     """
     fit, dataset = diagnosis.selected.fit, diagnosis.dataset
-    given, remaining = diagnosis.gap.raw, np.full(diagnosis.gap.raw.shape, np.nan)
+    given, remaining = diagnosis.gap.error_before, np.full(diagnosis.gap.error_before.shape, np.nan)
     as_given = _predicted(fit, simulator.model)
     for number, fold in enumerate(fit.folds):
         rows = np.isin(fit.cell, np.flatnonzero(fold.test))

@@ -176,7 +176,7 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
 
 
 def _where(dataset: Dataset, gap: HeldOutGap) -> tuple[JointShare, ...]:
-    raw = gap.raw / gap.unit
+    raw = gap.error_before / gap.unit
     floor = np.zeros(raw.shape[1]) if gap.floor is None else gap.floor
     excess = np.maximum(gap.before**2 - floor**2, 0)
     if excess.sum() <= 0:
@@ -214,7 +214,7 @@ def next_experiment(
     if verdict == "unknown" and open_model:
         return NextExperiment((), TOGETHER)
     if verdict == "unknown":
-        joints = [entry.joint for entry in where if entry.share > LIMITS.most * where[0].share]
+        joints = [entry.joint for entry in where if entry.share > LIMITS.majority * where[0].share]
         return NextExperiment((), _WHEN_UNKNOWN.format(joints=", ".join(joints)))
     if verdict != "ambiguous" or not causes:
         return None

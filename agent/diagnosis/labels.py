@@ -30,4 +30,4 @@ def testable_counts(result: Mapping[str, Any]) -> tuple[int, int]:
 def could_show(result: Mapping[str, Any]) -> bool:
     """Whether the model is good enough, and the motion rich enough, that finding nothing means something."""
     showing, count = testable_counts(result)
-    return showing >= LIMITS.most * count and (result.get("model_error") or 0.0) <= LIMITS.weak_model
+    return showing >= LIMITS.majority * count and (result.get("model_error") or 0.0) <= LIMITS.weak_model

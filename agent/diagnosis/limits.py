@@ -71,7 +71,7 @@ class DecisionLimits:
         "from where on a joint's error is more than the model's own",
         "tuned: of 62 healthy development runs one exceeds it",
     )
-    most: float = known(
+    majority: float = known(
         0.5,
         "part",
         "that counts as most: of the energy where a torque channel stands still, of the closure that causes close "
@@ -105,7 +105,7 @@ class DecisionLimits:
 
     # Segments of time
     block: float = known(1.0, "s", "of motion that are drawn as one: errors last as long", "chosen")
-    independent: float = known(
+    row_correlation_time: float = known(
         0.1,
         "s",
         "between independent rows: filters carry an error half as far either way, a shorter standstill is a reversal, "
@@ -121,7 +121,7 @@ class DecisionLimits:
     @property
     def shortest(self) -> float:
         """Shortest only log [s]: all its blocks have guards on both sides, and as much between them."""
-        guards = 2 * self.independent * self.blocks
+        guards = 2 * self.row_correlation_time * self.blocks
         return 2 * guards + guards
 
     @property

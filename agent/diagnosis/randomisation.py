@@ -48,7 +48,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     spread = np.zeros((fit.size, count + fit.size - p))
     spread[:p, :count] = columns
     spread[p:, count:] = np.eye(fit.size - p)
-    information = fit.gram[:, :-1, :-1].sum(axis=0) / fit.repeat
+    information = fit.gram[:, :-1, :-1].sum(axis=0) / fit.rows_per_independent
     prior = np.eye(spread.shape[1])
     prior[count:, count:] = fit.prior[p:, p:]
     covariance = np.linalg.inv(spread.T @ information @ spread + prior)

@@ -1,4 +1,5 @@
-"""The verdict of a diagnosis: `name_causes` and `keep_supported` choose its causes, `decide_verdict` alone says it.
+"""The verdict of a diagnosis: `name_causes` and `keep_supported` choose its causes, `decide_verdict` says it of
+torque, `decide_by_position` of positions, and `with_numbers` adds the numbers of a simulator's file.
 
 | verdict | condition |
 | --- | --- |
@@ -123,13 +124,13 @@ def name_causes(selected: SelectedCauses) -> SelectedCauses:
     if not sure or selected.explained_share < LIMITS.explained:
         return selected.without_causes(leaves_gap=True)
     selected = replace(selected.keeping(sure), leaves_gap=exceeded)
-    lonely = []
+    without_rival = []
     for k, cause in enumerate(selected.causes):
         if not selected.rivals[k] and not selected.ignored.isdisjoint(cause.effect.structurally_equivalent):
             selected = selected.with_runner_up(k)
-            lonely += [] if selected.rivals[k] else [k]
+            without_rival += [] if selected.rivals[k] else [k]
     return selected.keeping(
-        [k for k in range(len(selected.causes)) if k not in lonely], leaves_gap=exceeded or bool(lonely)
+        [k for k in range(len(selected.causes)) if k not in without_rival], leaves_gap=exceeded or bool(without_rival)
     )
 
 
@@ -151,7 +152,7 @@ def keep_supported(
             leaves_gap = selected.leaves_gap or (dropped and exceeds(selected.fit, gap))
             return replace(selected, leaves_gap=leaves_gap), gap
         closed, alone = gap.closure or 0.0, closed_alone(selected.fit, gap, len(selected.causes))
-        if not selected.rivals[0] and (closed < LIMITS.explained or alone < LIMITS.most * closed):
+        if not selected.rivals[0] and (closed < LIMITS.explained or alone < LIMITS.majority * closed):
             selected = selected.with_runner_up()
         if (fewer := drop_replaceable(selected, gap)) is not None:
             selected = fewer

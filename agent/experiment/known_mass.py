@@ -60,7 +60,7 @@ class WithMass:
 def makes_answer_likely(expected: Expected) -> bool:
     """Whether a motion makes a right answer likely that was not."""
     sides = zip(expected.before_if, expected.after_if, strict=True)
-    return any(b is not None and a is not None and a > max(LIMITS.most, b + LIMITS.negligible) for b, a in sides)
+    return any(b is not None and a is not None and a > max(LIMITS.majority, b + LIMITS.negligible) for b, a in sides)
 
 
 def plan_with_mass(
@@ -98,8 +98,8 @@ def plan_with_mass(
 def _doubted(diagnosis: Diagnosis, expected: Expected) -> bool:
     """Whether the named cause is hardly distinguished from one that the verdict calls equivalent."""
     names, equal = diagnosis.dataset.robot.joint_names, diagnosis.selected.rivals
-    first = diagnosis.selected.causes[0].place if diagnosis.selected.causes else None
-    likelier, other = expected.pair.first.place(names), expected.pair.second.place(names)
+    first = diagnosis.selected.causes[0].key if diagnosis.selected.causes else None
+    likelier, other = expected.pair.first.key(names), expected.pair.second.key(names)
     return expected.after < LAW.detected and likelier == first and other in equal[0]
 
 

@@ -198,7 +198,7 @@ def _nothing_to_separate(diagnosis: Diagnosis) -> NoMotion:
         return NoMotion("nothing is open: no further motion is needed")
     if not diagnosis.selected.causes and (experiment := diagnosis.document.next_experiment) is not None:
         return NoMotion(experiment.motion, experiment.separates)  # between numbers of a simulator's file
-    effect, joints = diagnosis.selected.causes[0].place
+    effect, joints = diagnosis.selected.causes[0].key
     on = ", ".join(diagnosis.dataset.robot.joint_names[joint] for joint in joints)
     return NoMotion(
         f"{effect}{f' on {on}' if on else ''} closes too little of the gap to be sure. No motion can be "

@@ -46,7 +46,7 @@ def d_optimal(dataset: Dataset, information_of: Callable[[GridMotion], np.ndarra
     """
     fit = dataset.fit
     model = len(fit.precision)
-    known = fit.gram.sum(axis=0)[:model, :model] / fit.repeat + fit.precision
+    known = fit.gram.sum(axis=0)[:model, :model] / fit.rows_per_independent + fit.precision
     scale = 1 / np.sqrt(np.diag(known))
     added: dict[Piece, np.ndarray] = {}
 

@@ -95,7 +95,7 @@ def plan_experiment(
         cut_short = False
     before = scorer.chances(scorer.nothing)
     at_best = scorer.chances(_sum(scorer, pool))
-    asked = (at_best > np.maximum(np.nan_to_num(before), LIMITS.most)) & (np.nan_to_num(before) < LAW.certain)
+    asked = (at_best > np.maximum(np.nan_to_num(before), LIMITS.majority)) & (np.nan_to_num(before) < LAW.certain)
     if not asked.any():
         return Experiment((), (), len(pool), cut_short)
     chosen = _varied(scorer, pieces, _greedy(scorer, pool, seconds / 2, asked), seconds / 2, asked, deadline)

@@ -23,7 +23,7 @@ class Side:
     form: Candidate | None
     values: np.ndarray
 
-    def place(self, joint_names: Sequence[str]) -> HypothesisKey:
+    def key(self, joint_names: Sequence[str]) -> HypothesisKey:
         """Effect and joints from 0."""
         return self.effect, tuple(joint_names.index(name) for name in self.joints)
 
@@ -72,7 +72,7 @@ def _rivals(diagnosis: Diagnosis) -> Iterator[OpenPair]:
 
 def _leading_form(diagnosis: Diagnosis, place: HypothesisKey) -> Candidate | None:
     """The form of an effect in the likeliest hypothesis that has it."""
-    forms = (c for hypothesis in diagnosis.selected.hypotheses for c in hypothesis.effects if c.place == place)
+    forms = (c for hypothesis in diagnosis.selected.hypotheses for c in hypothesis.effects if c.key == place)
     return next(forms, None)
 
 

@@ -190,7 +190,7 @@ def noise_level_on(dataset: Dataset, reference: NominalModel, motion: MotionSign
     turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
     turns[:-1] |= turns[1:]
     near = turns.copy()
-    for shift in range(1, int(0.5 * LIMITS.independent / float(np.median(np.diff(motion.time)))) + 1):
+    for shift in range(1, int(0.5 * LIMITS.row_correlation_time / float(np.median(np.diff(motion.time)))) + 1):
         near[shift:] |= turns[:-shift]
         near[:-shift] |= turns[shift:]
     return np.where(near, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)

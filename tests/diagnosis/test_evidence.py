@@ -45,19 +45,19 @@ def fit_of(robot, model, effects=(), seeds=(21, 22)):
 def test_names_an_offset_or_an_equivalent_and_nothing_on_a_healthy_arm(robot, model):
     assert verdict_on(name_causes(Search(fit_of(robot, model)).run())) == "no_gap"
     decision = name_causes(Search(fit_of(robot, model, [OFFSET])).run())
-    assert ("torque_offset", (1,)) in (decision.causes[0].place, *decision.rivals[0])
+    assert ("torque_offset", (1,)) in (decision.causes[0].key, *decision.rivals[0])
     assert decision.probability[0] > 0.6
     assert sum(h.probability for h in decision.hypotheses) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_an_effect_of_the_healthy_arm_is_not_named(robot, model):
     fit = fit_of(robot, model, [OFFSET])
-    found = {cause.place for cause in name_causes(Search(fit).run()).causes}
+    found = {cause.key for cause in name_causes(Search(fit).run()).causes}
     assert found
-    forms = [form for batch in Search(fit).forms() for form in batch if form.place in found]
+    forms = [form for batch in Search(fit).forms() for form in batch if form.key in found]
     usual = [HealthyForm(form, np.full(len(form.names), 6.0)) for form in forms]  # N·m, as large as the effect
     again = name_causes(Search(fit, healthy=usual).run())
-    assert not {cause.place for cause in again.causes} & found
+    assert not {cause.key for cause in again.causes} & found
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def least_squares(fit: Fit, forms: Sequence[Candidate], train: np.ndarray = ALL)
     used = rows[train[cell] & (cell >= 0)]
     matrix = used[:, :-1].T @ used[:, :-1] / REPEAT + prior
     return matrix, np.linalg.solve(
-        matrix, used[:, :-1].T @ used[:, -1] / REPEAT + np.append(fit.shift, 0 * prior[5:, 0])
+        matrix, used[:, :-1].T @ used[:, -1] / REPEAT + np.append(fit.prior_information, 0 * prior[5:, 0])
     )
 
 
@@ -83,15 +83,15 @@ def test_fits_are_least_squares_over_the_rows_that_are_not_held_out(plain, forms
     inside = fit.rests.inside(len(fit.cell))
     assert np.array_equal(fit.near_rest, inside | (fit.sigma > [0.81, 0.31]))
     assert inside.any()
-    with patch("agent.diagnosis.rows.fit.LIMITS", replace(LIMITS, independent=1e-3)):
-        assert synthetic_fit().repeat == 1
+    with patch("agent.diagnosis.rows.fit.LIMITS", replace(LIMITS, row_correlation_time=1e-3)):
+        assert synthetic_fit().rows_per_independent == 1
 
 
 @pytest.mark.parametrize("single", [False, True])
 def test_rows_that_are_held_out_are_judged_by_the_fit_to_the_others(plain, forms, single):
     fit, taken_out = plain.with_chosen(forms), range(len(forms))
     expected = [np.full(fit.sigma.shape, np.nan) for _ in (None, *taken_out)]
-    folds, spans = fit.single if single else fit.folds, written_out(fit, forms)[1]
+    folds, spans = fit.single_folds if single else fit.folds, written_out(fit, forms)[1]
     for fold in folds:
         fitted = least_squares(fit, forms, fold.train)[1]
         change, values = fit.fitted(fold)

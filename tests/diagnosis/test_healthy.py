@@ -95,7 +95,7 @@ def test_what_most_joints_have_is_no_fault_on_one_that_has_not_shown_it(like, na
 def test_a_joint_whose_logs_would_not_have_shown_what_another_has_may_have_as_much(effect, hidden, known):
     """Two of three joints show nothing of what one has 1 % of nominal torque of."""
     more = {"effect": CATALOGUE[effect], "transient": False, "settings": {}, "names": ("amount",)}
-    forms = [SimpleNamespace(place=(effect, (joint,)), joints=(joint,), **more) for joint in range(3)]
+    forms = [SimpleNamespace(key=(effect, (joint,)), joints=(joint,), **more) for joint in range(3)]
     log = SimpleNamespace(
         gains=np.array([5.0, -3.0, -3.0]),
         torque=np.array([0.01 / np.sqrt(3), 0.0, 0.0]),

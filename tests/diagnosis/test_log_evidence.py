@@ -21,7 +21,7 @@ from tests.synthetic_fit import NOMINAL, PERIOD, shape, synthetic_fit, synthetic
 
 STEP, ROWS = 2, 110  # of 16 ms one row is kept
 WEIGHT = 0.4  # independent rows, of those kept
-THE_LAW = replace(LAW, independent=STEP * PERIOD / WEIGHT)
+THE_LAW = replace(LAW, error_correlation_time=STEP * PERIOD / WEIGHT)
 FORMS = (
     (shape("offset"), (1,)),
     (shape("ripple", nonlinear=2), (0,), 3),
@@ -52,7 +52,7 @@ class Written:
         self.friction = [2] if learned else []  # not the offset, and not what is zero
         self.prior = covariance.copy()
         self.prior[self.friction, self.friction] += (THE_LAW.daily * fit.reference.model.values[self.friction]) ** 2
-        self.start = self.prior @ fit.shift
+        self.start = self.prior @ fit.prior_information
         self.rest = whole[..., -1].ravel() - self.columns @ self.start
         parts = [[getattr(s, name)[s.kept] for s in fit.signals] for name in ("time", "q", "qd", "qdd")]
         time, *motion = (np.concatenate(part)[::STEP] for part in parts)
@@ -133,7 +133,7 @@ class Written:
             error = self.over_noise(plain @ pull) ** 2
             for j in (touched if nothing else (0, 1)) if refit else ():
                 scales[j] = max((law.nu + count * error[j]) / (law.nu + count), 0.2)
-        log = self.density(whole) + 0.5 * self.start @ self.fit.shift  # as the prior's own is left out
+        log = self.density(whole) + 0.5 * self.start @ self.fit.prior_information  # as the prior's own is left out
         log += 0.5 * (1 - WEIGHT) * ROWS * np.sum(np.log(scales)) - ROWS * np.log(WEIGHT)
         log -= 0.5 * np.sum((law.nu + 2) * np.log(scales) + law.nu / scales)
         usual = np.diag(self.noise((1, 1))).reshape(2, -1).mean(axis=1) + 1 - 1 / WEIGHT
@@ -143,7 +143,7 @@ class Written:
             scales=scales,
             mean=np.concatenate([self.start + change, *values]),
             torque=[self.lasting(k, z @ s @ z.T @ alone) for k, z, s in zip(effects, columns, spreads, strict=True)],
-            left=np.maximum(remains - usual, 0) * (self.base / NOMINAL) ** 2,
+            unexplained=np.maximum(remains - usual, 0) * (self.base / NOMINAL) ** 2,
             whole=whole,
             of=(effects, free),
         )
@@ -184,17 +184,17 @@ def same(seen, written) -> None:
     np.testing.assert_allclose(np.concatenate([*seen.values, [0]]), [*written.mean[5:], 0], rtol=1e-4, atol=1e-6)
     assert list(seen.torque) == [pytest.approx(one, rel=1e-3) for one in written.torque]
     assert seen.largest == pytest.approx([max(one.values()) for one in written.torque], rel=1e-3)
-    assert seen.left == pytest.approx(written.left, rel=1e-4, abs=1e-9)
+    assert seen.unexplained == pytest.approx(written.unexplained, rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.parametrize(("effects", "free"), [((), {}), *HYPOTHESES])
 def test_log_evidence_is_the_density_of_all_rows(case, effects, free):
     """With scales that are fitted, or kept, or none above that of the noise model."""
     evidence, written = case
-    scales = evidence.nothing.scales
-    same(evidence.nothing, written.evaluate((), {}, nothing=False))
-    assert evidence.evaluate(()).log_evidence == pytest.approx(evidence.nothing.log_evidence)
-    same(evidence.evaluate(effects, free), written.evaluate(effects, free, evidence.nothing.scales))
+    scales = evidence.null_hypothesis.scales
+    same(evidence.null_hypothesis, written.evaluate((), {}, nothing=False))
+    assert evidence.evaluate(()).log_evidence == pytest.approx(evidence.null_hypothesis.log_evidence)
+    same(evidence.evaluate(effects, free), written.evaluate(effects, free, evidence.null_hypothesis.scales))
     same(evidence.evaluate(effects, free, scales), written.evaluate(effects, free, scales))
     for given in (scales, np.array([1.2, 1.5]), np.array([3.0, 0.7])):
         seen = evidence.evaluate(effects, free, given, refit=False)
@@ -208,7 +208,7 @@ def test_log_evidence_is_the_density_of_all_rows(case, effects, free):
 def test_what_a_form_adds_is_the_ratio_of_two_densities(case, effects, free):
     """At its likeliest size, with a hypothesis as it is; forms that were added since count as well."""
     evidence, written = case
-    scales = evidence.nothing.scales
+    scales = evidence.null_hypothesis.scales
     seen, base = evidence.evaluate(effects, free), written.evaluate(effects, free, scales)
     for _ in range(2):
         gains, values = evidence.shortlist_gains(seen)
@@ -227,7 +227,7 @@ def test_what_a_form_adds_is_the_ratio_of_two_densities(case, effects, free):
 
 def test_information_is_that_of_all_rows_under_the_noise_model(case):
     evidence, written = case
-    chosen, scales = (2, 0, 4), np.minimum(evidence.nothing.scales, 1)
+    chosen, scales = (2, 0, 4), np.minimum(evidence.null_hypothesis.scales, 1)
     total, prior, ends = evidence.information([written.forms[k] for k in chosen])
     whole = np.hstack([written.columns, *map(written.effect, chosen)])
     expected = whole.T @ np.linalg.solve(written.noise(scales), whole)
@@ -238,7 +238,7 @@ def test_information_is_that_of_all_rows_under_the_noise_model(case):
         np.testing.assert_allclose(np.linalg.inv(prior[a:b, a:b]), spread, rtol=1e-5)
         assert not prior[a:b, :a].any()
     rows, free = np.random.default_rng(3).normal(size=(2, 30, 3))
-    weight, variance = 0.1 / THE_LAW.independent, evidence.noise.variance(1, scales[1], 0.0, {})
+    weight, variance = 0.1 / THE_LAW.error_correlation_time, evidence.noise.variance(1, scales[1], 0.0, {})
     errors = scales[1] / weight * np.eye(30) + variance * free @ free.T
     np.testing.assert_allclose(evidence.information_of_rows(1, rows, free, 0.1), rows.T @ np.linalg.solve(errors, rows))
 
@@ -248,7 +248,7 @@ def test_the_smallest_size_that_would_be_named_outweighs_the_prior(case):
     sure, prior = LAW.sure / LAW.certain, (1 - LAW.rare) / len(CATALOGUE) / 2
     assert evidence.naming_threshold(True) == pytest.approx(np.log(sure / (1 - sure) / prior))
     assert evidence.naming_threshold(False) == pytest.approx(np.log(10))
-    base = written.evaluate((), {}, np.minimum(evidence.nothing.scales, 1), refit=False)
+    base = written.evaluate((), {}, np.minimum(evidence.null_hypothesis.scales, 1), refit=False)
     idle = evidence.pool.numbers([replace(written.forms[4], blocks=one) for one in ({}, {0: np.zeros((2 * ROWS, 1))})])
     *sizes, one, other = evidence.smallest_sizes()
     assert (min(one, other) > 1e5, len(sizes)) == (True, len(FORMS))
@@ -296,7 +296,7 @@ def test_how_far_an_effect_is_from_the_baselines():
 def test_a_large_gap_adds_its_own_size_to_the_usual_ones(case):
     evidence, written = case
     for place, size in evidence.usual.items():
-        (k,) = (k for k, form in enumerate(written.forms) if form.place == place)
+        (k,) = (k for k, form in enumerate(written.forms) if form.key == place)
         amount = np.linspace(0.05, 0.1, written.size[k].shape[1])
         assert size == pytest.approx(np.max(np.linalg.norm(amount * written.size[k], axis=1) / NOMINAL), rel=1e-4)
     left = np.stack([rows[:, -1] for rows in written.fit.rows], axis=1)
@@ -306,7 +306,7 @@ def test_a_large_gap_adds_its_own_size_to_the_usual_ones(case):
         with patch.object(written.fit.reference.model, "values", np.zeros(5)):  # without friction
             none = Evidence(written.fit.with_residual(size * left), [], (), THE_LAW)
         assert none.sizes == (*LAW.sizes, *more)
-        assert [len(found) for found in none.shortlist_gains(none.nothing)] == [0, 0]
+        assert [len(found) for found in none.shortlist_gains(none.null_hypothesis)] == [0, 0]
 
 
 def test_the_noise_model_trusts_no_form_beyond_a_limit_and_has_no_columns_that_the_logs_hardly_notice(case):

@@ -37,29 +37,29 @@ def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0, 
 def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
     """Evidence and hypotheses that have these probabilities after the data; `left` is over that of nothing."""
     places = list(dict.fromkeys(place for one in told for place in one.places))
-    candidates = [SimpleNamespace(place=place, joints=place[1], effect=CATALOGUE[place[0]]) for place in places]
+    candidates = [SimpleNamespace(key=place, joints=place[1], effect=CATALOGUE[place[0]]) for place in places]
     found = [
         SimpleNamespace(
             effects=tuple(places.index(place) for place in one.places),
             free=dict.fromkeys(one.free, 0.1),
             log_evidence=1000 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
             largest=one.largest,
-            left=np.array([0.5e-3, 1.5e-3]) * one.left,
+            unexplained=np.array([0.5e-3, 1.5e-3]) * one.left,
             scales=np.array([0.5, one.scale]),
             told=one,
         )
         for one in told
     ]
-    nothing = next(one for one in found if not one.effects and not one.free)
+    null = next(one for one in found if not one.effects and not one.free)
     pool = SimpleNamespace(candidate=candidates.__getitem__, kinds=kinds)
     apart = lambda one, which: one.told.apart  # noqa: E731
     return SimpleNamespace(
-        law=LAW, joints=JOINTS, nothing=nothing, pool=pool, usual={}, distance_from_baseline=apart
+        law=LAW, joints=JOINTS, null_hypothesis=null, pool=pool, usual={}, distance_from_baseline=apart
     ), found
 
 
 def decided(*told, **more):
-    fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.place for cause in causes)))
+    fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.key for cause in causes)))
     return name_causes(compare(fit, *evaluated(*told, **more)))
 
 
@@ -86,12 +86,12 @@ def test_of_equals_the_one_with_fewer_forms_leads():
     for order in (told, told[::-1]):
         for fewer in (OFFSET, RIPPLE):
             found = decided(*order, kinds=lambda place, fewer=fewer: 1 if place == fewer else 2)
-            assert [cause.place for cause in found.causes] == [fewer]
+            assert [cause.key for cause in found.causes] == [fewer]
 
 
 def test_the_likeliest_statement_leads_though_a_hypothesis_of_another_is_likelier():
     """Hypotheses that differ by what is too small to matter say the same."""
-    fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.place for cause in causes)))
+    fit = SimpleNamespace(with_chosen=lambda causes: ("with", *(cause.key for cause in causes)))
     told = [
         *(hypothesis(0.22, left=1.0, scale=9.0), hypothesis(0.3, OFFSET, ELSEWHERE), hypothesis(0.2, OFFSET)),
         hypothesis(0.28, OFFSET, RIPPLE, torque=(0.1, 0.001), left=0.2),
@@ -103,7 +103,7 @@ def test_the_likeliest_statement_leads_though_a_hypothesis_of_another_is_likelie
     evidence, found = evaluated(*told, observed=observed)
     given = {id(evidence): observed}
     seen = compare(fit, evidence, found, lambda of, one: given[id(of)](one.told), {"dress_pack"})
-    assert [cause.place for cause in seen.causes] == [OFFSET]
+    assert [cause.key for cause in seen.causes] == [OFFSET]
     assert (seen.plain, seen.fit, seen.evidence, seen.ignored) == (fit, ("with", OFFSET), evidence, {"dress_pack"})
     assert seen.explained_share == pytest.approx(0.8)
 
@@ -135,7 +135,7 @@ def test_a_cause_is_named_if_likely_large_and_enough(plain, scale, offset, verdi
     found = decided(hypothesis(plain, left=1.0, scale=scale), hypothesis(1 - plain, OFFSET, **offset))
     assert verdict_on(found) == verdict
     is_named = verdict == "explained"
-    assert [cause.place for cause in found.causes] == ([OFFSET] if is_named else [])
+    assert [cause.key for cause in found.causes] == ([OFFSET] if is_named else [])
     assert (found.fit == ("with", OFFSET)) is is_named
     assert found.probability == (pytest.approx((0.95 * (1 - plain),)) if is_named else ())
     assert found.healthy == pytest.approx(1.0 if offset.get("torque") == (0.0029,) else plain)
@@ -164,14 +164,14 @@ def test_equals_are_listed_by_name():
     plain = hypothesis(0.04, left=1.0, scale=9.0)
     for pair in combinations(sorted((*(SPRING, HOSE, ASYMMETRIC, RIPPLE), ("stribeck", (0,)))), 2):
         assert decided(plain, hypothesis(0.5, OFFSET), hypothesis(0.46, *pair)).rivals == (pair,)
-        assert [cause.place for cause in decided(plain, hypothesis(0.96, *pair)).causes] == list(pair)
+        assert [cause.key for cause in decided(plain, hypothesis(0.96, *pair)).causes] == list(pair)
 
 
 def test_each_cause_has_a_class_and_the_largest_comes_first():
     both, more = hypothesis(0.6, OFFSET, ELSEWHERE, torque=(0.1, 0.2)), hypothesis(0.1, OFFSET)
     other = hypothesis(0.1, ASYMMETRIC, ELSEWHERE), hypothesis(0.16, OFFSET, SPRING)
     found = decided(hypothesis(0.04, left=1.0, scale=9.0), both, more, *other)
-    assert [cause.place for cause in found.causes] == [ELSEWHERE, OFFSET]
+    assert [cause.key for cause in found.causes] == [ELSEWHERE, OFFSET]
     assert found.probability == pytest.approx((0.95 * 0.7, 0.95 * 0.96))
     assert (verdict_on(found), found.rivals) == ("explained", ((), (ASYMMETRIC,)))
     again = found.with_rival(1, SPRING).with_rival(1, SPRING)

@@ -106,7 +106,7 @@ def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it()
     released = SimpleNamespace(given=SimpleNamespace(servos=object()))
     friction = Group("friction", 1, np.zeros((9, 2)), np.ones(2))
     assert likely_effects_on(released, selected, friction) == ["stribeck"]  # type: ignore[arg-type]
-    selected.causes = [SimpleNamespace(place=("stribeck", (1,)))]
+    selected.causes = [SimpleNamespace(key=("stribeck", (1,)))]
     assert likely_effects_on(released, selected, friction) == []  # type: ignore[arg-type]
 
 

@@ -181,7 +181,7 @@ def found_by_a_search(candidates, rivals, scale=1.0, runner_up=()):
 
 
 def candidate_of(name, *joints, **more):
-    return SimpleNamespace(place=(name, joints), effect=CATALOGUE[name], **more)
+    return SimpleNamespace(key=(name, joints), effect=CATALOGUE[name], **more)
 
 
 def judged_by(selected, gap_of, told, failing=(), own=1.0, large=False):
@@ -203,7 +203,7 @@ def judged_by(selected, gap_of, told, failing=(), own=1.0, large=False):
 
     def lacking(fit, gap, chosen, irreplaceable):
         assert gap is gaps[-1]
-        return ["it leaves too much" if set(failing) & set(cause.place[1]) else "" for cause in chosen]
+        return ["it leaves too much" if set(failing) & set(cause.key[1]) else "" for cause in chosen]
 
     def alone(fit, gap, count):
         return own * (gap.closure or 0.0)
@@ -240,7 +240,7 @@ def test_every_search_result_gives_an_answer_that_meets_the_contract(found, clos
 
     judged, decided = judged_by(selected, gap_of, told, failing)
     assert keeps_its_promises(decided.name, decided.causes, decided.closure)
-    assert failing.isdisjoint(joint for cause in judged.causes for joint in cause.place[1])
+    assert failing.isdisjoint(joint for cause in judged.causes for joint in cause.key[1])
     assert decided.name != "no_gap" or not judged.rejected, "what is rejected leaves its gap"
     assert len(decided.causes) == len(judged.causes), "what is supported is named"
 
@@ -284,7 +284,7 @@ def test_causes_that_close_too_little_are_named_with_the_runner_up():
     for closure, verdict in ((0.9, "explained"), (0.75, "explained"), (0.5, "ambiguous"), (0.01, "ambiguous")):
         judged, decided = judged_by(selected, lambda *_, closure=closure: SimpleNamespace(closure=closure), told)
         assert decided.name == verdict
-        assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.place,))
+        assert judged.rivals[0] == (() if verdict == "explained" else (stribeck.key,))
     for own, verdict in ((0.5, "explained"), (0.4, "ambiguous")):  # the model's own change closes more
         _, decided = judged_by(selected, lambda *_: SimpleNamespace(closure=0.9), told, own=own)
         assert decided.name == verdict

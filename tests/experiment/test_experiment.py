@@ -183,7 +183,10 @@ def test_random_pieces_fill_the_time_and_are_feasible(problem):
 def test_d_optimal_pieces_have_more_information_than_random_ones(problem):
     found = one_sided(problem.robot)
     scorer = scorer_of(found, ())
-    known = found.dataset.fit.gram.sum(axis=0)[:-1, :-1] / found.dataset.fit.repeat + found.dataset.fit.precision
+    known = (
+        found.dataset.fit.gram.sum(axis=0)[:-1, :-1] / found.dataset.fit.rows_per_independent
+        + found.dataset.fit.precision
+    )
 
     def worth(pieces):
         total = known + sum(scorer.model_information(piece.motion) for piece in pieces)

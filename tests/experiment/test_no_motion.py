@@ -78,7 +78,7 @@ def test_reports_what_no_motion_separates_and_where_to_look(ask):
 
 def test_a_doubtful_cause_without_an_alternative_is_not_settled(tmp_path: Path, monkeypatch):
     recipe = load_recipe(write_atomically(tmp_path / "job.yaml", template()))
-    cause = SimpleNamespace(place=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
+    cause = SimpleNamespace(key=("torque_ripple", (5,)), effect=SimpleNamespace(name="torque_ripple"))
     dataset = SimpleNamespace(robot=recipe.robot)
     found = SimpleNamespace(verdict="ambiguous", selected=SimpleNamespace(causes=(cause,)), dataset=dataset)
     monkeypatch.setattr(next_motion, "open_pairs", lambda found: [])

@@ -32,12 +32,12 @@ FOUND = SimpleNamespace(
         fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 1000.0), reach=2.0)),
         robot=SimpleNamespace(joint_names=()),
     ),
-    selected=SimpleNamespace(causes=(SimpleNamespace(place=CAUSE),), rivals=((EQUAL,),), evidence=None),
+    selected=SimpleNamespace(causes=(SimpleNamespace(key=CAUSE),), rivals=((EQUAL,),), evidence=None),
 )
 
 
 def side(place):
-    return SimpleNamespace(text=lambda: f"{place[0]} on joint_3", form="one", place=lambda names: place)
+    return SimpleNamespace(text=lambda: f"{place[0]} on joint_3", form="one", key=lambda names: place)
 
 
 PAIR, BESIDE = (SimpleNamespace(first=side(CAUSE), second=side(other)) for other in (EQUAL, NEAR))

@@ -103,7 +103,7 @@ def test_a_correction_that_errs_more_than_the_file_is_not_written(nominal, tmp_p
     found = nominal[2]
     simulator = load_simulator(written(tmp_path, URDF, "arm.urdf"), None, ("pan", "lift"))
     assert np.all(np.less(*held_out_errors(found, simulator)[::-1]))
-    nearly_right = replace(found, gap=replace(found.gap, raw=1e-3 * found.gap.raw))
+    nearly_right = replace(found, gap=replace(found.gap, error_before=1e-3 * found.gap.error_before))
     correction = supported_correction(nearly_right, simulator)
     write_simulator(nearly_right, simulator, correction, tmp_path / "fixed.urdf", Console(-1))
     assert (tmp_path / "fixed.urdf").read_text() == URDF

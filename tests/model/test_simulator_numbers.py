@@ -152,7 +152,7 @@ def test_finds_a_testable_effect_next_to_a_much_larger_one(tmp_path):
     search = Search(moved.fit, only=places)
     found = name_causes(search.run())
     assert smallest_sizes(moved, search.evidence)["stribeck", (1,)] * 0.01 < 0.016, "of nominal torque, as it has"
-    assert {cause.place for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
+    assert {cause.key for cause in found.causes} == {("gravity_spring", (0,)), ("stribeck", (1,))}
 
 
 def test_a_shoulder_spring_is_not_testable_if_its_link_was_corrected(tmp_path):

@@ -46,13 +46,15 @@ def _while_moving(fit: Fit, gap: HeldOutGap) -> tuple[np.ndarray, np.ndarray]:
     """(n,) errors [N·m] before and after the causes while the joint moves; zero where it never does."""
     moving = _moving(fit, gap)
     count = np.maximum(moving.sum(axis=0), 1)
-    before, after = (np.sqrt(np.sum(np.where(moving, e, 0.0) ** 2, axis=0) / count) for e in (gap.raw, gap.left))
+    before, after = (
+        np.sqrt(np.sum(np.where(moving, e, 0.0) ** 2, axis=0) / count) for e in (gap.error_before, gap.error_after)
+    )
     return before, after
 
 
 def _moving(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     """(S', n) bool: rows that count."""
-    return ~fit.near_rest & ~np.isnan(gap.left)
+    return ~fit.near_rest & ~np.isnan(gap.error_after)
 
 
 def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
@@ -72,7 +74,7 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
                 at.append(np.arange(a, b))
         columns, places = np.hstack(parts), np.concatenate(at)
         variance = np.zeros(len(columns))
-        for fold in fit.single if fit.transient else fit.folds:
+        for fold in fit.single_folds if fit.transient else fit.folds:
             inverse = fit.solve(fold.train)[0][np.ix_(places, places)]
             test = np.isin(fit.cell, np.flatnonzero(fold.test))
             variance[test] = np.einsum("si,ij,sj->s", columns[test], inverse, columns[test], optimize=True)
@@ -122,7 +124,7 @@ def closed_alone(fit: Fit, gap: HeldOutGap, count: int) -> float:
 
 def main_joint(fit: Fit, gap: HeldOutGap, joints: Iterable[int], taken_out: np.ndarray) -> int:
     """The one of some joints on which a cause explains most; `taken_out` (S', n) [N·m] is the error without it."""
-    change, at = rms(gap.beyond(taken_out)) ** 2 - rms(gap.left) ** 2, list(joints)
+    change, at = rms(gap.beyond(taken_out)) ** 2 - rms(gap.error_after) ** 2, list(joints)
     return at[int(np.argmax(change[at] / fit.sigma.min(axis=0)[at] ** 2))]
 
 
@@ -131,9 +133,9 @@ def remainders(dataset: Dataset, gap: HeldOutGap) -> Iterator[Remainder]:
     sizes = remainder_sizes(dataset.fit, gap)
     for joint in np.argsort(-sizes, kind="stable").tolist():
         if sizes[joint] > 1:
-            shares = regimes(dataset, gap.left[:, joint], joint)
+            shares = regimes(dataset, gap.error_after[:, joint], joint)
             name = dataset.robot.joint_names[joint]
-            yield Remainder(name, float(sizes[joint]), shares, _follows(dataset, gap.left[:, joint], joint))
+            yield Remainder(name, float(sizes[joint]), shares, _follows(dataset, gap.error_after[:, joint], joint))
 
 
 def _follows(dataset: Dataset, error: np.ndarray, joint: int) -> dict[str, float]:

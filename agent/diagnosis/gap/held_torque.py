@@ -19,7 +19,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset, known_effects
 from agent.diagnosis.rows.fit import Fit
 
-_WINDOWS = tuple(LIMITS.independent * 2.0**k for k in range(-1, 4))  # numerical: s
+_WINDOWS = tuple(LIMITS.row_correlation_time * 2.0**k for k in range(-1, 4))  # numerical: s
 _QUARTILE = float(ndtri(3 / 4))  # derived: half of normal errors are smaller, in standard deviations
 SAME_MOTIONS = "the same motions"  # to record again
 
@@ -81,10 +81,10 @@ def held_torque(dataset: Dataset, fitted: Fit) -> HeldTorque | None:
         stretches = _of_joint(dataset, joint, by_model, excess[:, joint], error)
         energy = sum(stretch.energy for stretch in stretches)
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
-        if torque < LAW.practical or energy < LIMITS.most * whole:
+        if torque < LAW.practical or energy < LIMITS.majority * whole:
             continue
         large = [s for s in stretches if s.energy > LIMITS.negligible * max(s.energy for s in stretches)]
-        if sum(stretch.duration for stretch in large) < 2 * LIMITS.independent:  # less may be chance
+        if sum(stretch.duration for stretch in large) < 2 * LIMITS.row_correlation_time:  # less may be chance
             continue
         if largest is None or energy / whole > largest.share:
             largest = _held(name, large, energy / whole)
@@ -152,7 +152,7 @@ def _stands_still(
         a = np.arange(len(time) + 1 - 2 * half)
         b, c = a + half, a + 2 * half
         first, second = of_moving[b] - of_moving[a], of_moving[c] - of_moving[b]
-        enough = (first > LIMITS.most * half) & (second > LIMITS.most * half)
+        enough = (first > LIMITS.majority * half) & (second > LIMITS.majority * half)
         expected = (of_predicted[c] - of_predicted[b]) / np.maximum(second, 1) - (
             of_predicted[b] - of_predicted[a]
         ) / np.maximum(first, 1)

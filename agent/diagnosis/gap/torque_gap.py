@@ -16,18 +16,19 @@ from agent.diagnosis.rows.standstill import stiction
 
 @dataclass(frozen=True, eq=False)
 class HeldOutGap:
-    """Held-out errors without (`raw`) and with the causes (`left`), (S', n) [N·m], NaN on guards; their size per joint.
+    """Held-out errors without and with the causes, `error_before` and `error_after` (S', n) [N·m], NaN on guards.
 
     At standstill, friction is anything within the Coulomb level in either direction. No model knows it, although it
-    repeats with every cycle. So both errors are reduced by the open part of stiction there, `open` (S', n) [N·m].
+    repeats with every cycle. So both errors are already reduced by the open part of stiction, `open_stiction` (S', n)
+    [N·m].
 
     `before`, `after` and `floor` (n,) are RMSE values over `unit` (n,): nominal torque, or 1 N·m if unknown. `floor` is
     the repeatability from cycle to cycle, None without repeats.
     """
 
-    raw: np.ndarray
-    left: np.ndarray
-    open: np.ndarray
+    error_before: np.ndarray
+    error_after: np.ndarray
+    open_stiction: np.ndarray
     unit: np.ndarray
     before: np.ndarray
     after: np.ndarray
@@ -41,7 +42,7 @@ class HeldOutGap:
     @property
     def unclosed(self) -> HeldOutGap:
         """The same without causes: what the model leaves as it is, though its own parameters may move."""
-        return replace(self, left=self.raw, after=self.before)
+        return replace(self, error_after=self.error_before, after=self.before)
 
     @property
     def absorbed(self) -> float:
@@ -61,7 +62,7 @@ class HeldOutGap:
 
     def beyond(self, rows: np.ndarray) -> np.ndarray:
         """Part of an error (S', n) [N·m] that stiction does not allow."""
-        return _beyond(rows, self.open)
+        return _beyond(rows, self.open_stiction)
 
 
 def closure(before: np.ndarray, worse: np.ndarray, better: np.ndarray, floor: np.ndarray | None) -> float | None:

@@ -28,46 +28,46 @@ class Evidence(Score):
 
         The scales of the hypothesis stay, so this picks what to `evaluate`, whose log evidence is the score.
         """
-        parts = base.shortlist  # per bank; what was added since is worked out
-        parts += [self._shortlist_gains(base, bank) for bank in self.pool.banks[len(parts) :]]
+        parts = base.shortlist  # per block; what was added since is worked out
+        parts += [self._shortlist_gains(base, block) for block in self.pool.blocks[len(parts) :]]
         if not parts:
             return np.empty(0), []
         return np.concatenate([gain for gain, _ in parts]), [value for _, values in parts for value in values]
 
-    def _shortlist_gains(self, base: EvaluatedHypothesis, bank: CandidateBlock) -> tuple[np.ndarray, list[np.ndarray]]:
-        schur, side = self._schur(base, bank)
-        gains, values = np.empty(len(bank.candidates)), [np.empty(0)] * len(bank.candidates)
-        for width, which in bank.alike.items():
-            at = bank.first[which][:, None] + np.arange(width)
-            gain, fitted = self._at_best_size(schur[width], side[at], bank.rms[at], bank.priors[width])
+    def _shortlist_gains(self, base: EvaluatedHypothesis, block: CandidateBlock) -> tuple[np.ndarray, list[np.ndarray]]:
+        schur, side = self._schur(base, block)
+        gains, values = np.empty(len(block.candidates)), [np.empty(0)] * len(block.candidates)
+        for width, which in block.alike.items():
+            at = block.first[which][:, None] + np.arange(width)
+            gain, fitted = self._at_best_size(schur[width], side[at], block.rms[at], block.priors[width])
             for row, number in enumerate(which.tolist()):
-                gains[number] = gain[row] - self.cost(bank.candidates[number])
+                gains[number] = gain[row] - self.cost(block.candidates[number])
                 values[number] = fitted[row]
         return gains, values
 
-    def _schur(self, base: EvaluatedHypothesis, bank: CandidateBlock) -> tuple[dict[int, np.ndarray], np.ndarray]:
+    def _schur(self, base: EvaluatedHypothesis, block: CandidateBlock) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Per number of parameters k the information (N, k, k) on candidates beyond a hypothesis; (K,) their side."""
-        size = int(bank.first[-1])
+        size = int(block.first[-1])
         cross, side = np.zeros((len(base.precision), size)), np.zeros(size)
-        own = {width: np.zeros((len(which), width, width)) for width, which in bank.alike.items()}
+        own = {width: np.zeros((len(which), width, width)) for width, which in block.alike.items()}
         for j, joint in enumerate(base.joints):
-            at = bank.parameters[j]
+            at = block.parameters[j]
             if not len(at):
                 continue
-            (width, free), scale, moments = self.noise.width(j), base.scales[j], bank.moments[j]
+            (width, free), scale, moments = self.noise.width(j), base.scales[j], block.moments[j]
             reach = joint.root.solved(moments[width : width + free]) / scale
-            others = [self.pool.products_with(k, bank, j) for k in joint.effects]
+            others = [self.pool.products_with(k, block, j) for k in joint.effects]
             cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
             side[at] += moments[-1] / scale - joint.half[:, -1] @ reach
-            for k, which in bank.alike.items():
-                place = bank.place[j, bank.first[which]]
+            for k, which in block.alike.items():
+                place = block.column_index[j, block.first[which]]
                 here = np.flatnonzero(place >= 0)
                 part = reach[:, place[here][:, None] + np.arange(k)].transpose(1, 0, 2)
-                own[k][here] += bank.own[k][here, j] / scale - part.transpose(0, 2, 1) @ part
+                own[k][here] += block.own[k][here, j] / scale - part.transpose(0, 2, 1) @ part
         unit = 1 / np.sqrt(np.diag(base.precision))
         half = solved_lower(scaled_cholesky(base.precision, unit), unit[:, None] * cross)
-        for width, which in bank.alike.items():
-            part = half[:, bank.first[which][:, None] + np.arange(width)].transpose(1, 0, 2)
+        for width, which in block.alike.items():
+            part = half[:, block.first[which][:, None] + np.arange(width)].transpose(1, 0, 2)
             own[width] -= part.transpose(0, 2, 1) @ part
         return own, side - cross.T @ base.mean
 
@@ -77,15 +77,15 @@ class Evidence(Score):
         Its log Bayes factor against nothing has to outweigh the prior with a probability of 80 %. Signs of its
         parameters as they are usual: each contributes as much torque.
         """
-        smallest, expected = [], self.as_expected(self.nothing)
-        for bank in self.pool.banks:
-            schur, _ = self._schur(expected, bank)
-            sizes = np.empty(len(bank.candidates))
-            for width, which in bank.alike.items():
-                at = bank.first[which][:, None] + np.arange(width)
-                unit = 1 / (bank.rms[at] * np.sqrt(width))
+        smallest, expected = [], self.as_expected(self.null_hypothesis)
+        for block in self.pool.blocks:
+            schur, _ = self._schur(expected, block)
+            sizes = np.empty(len(block.candidates))
+            for width, which in block.alike.items():
+                at = block.first[which][:, None] + np.arange(width)
+                unit = 1 / (block.rms[at] * np.sqrt(width))
                 information = np.maximum(np.einsum("nk,nkl,nl->n", unit, schur[width], unit), 1e-12)
-                cost = np.array([self.cost(bank.candidates[k]) + self.naming_threshold(True) for k in which])
+                cost = np.array([self.cost(block.candidates[k]) + self.naming_threshold(True) for k in which])
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
                 log_det = 0.5 * np.linalg.slogdet(np.eye(width) + usual)[1]
                 sizes[which] = (self.law.margin + np.sqrt(2 * (cost + log_det))) / np.sqrt(information)
@@ -101,7 +101,7 @@ class Evidence(Score):
         numbers = self.pool.numbers(forms)
         ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
         prior = block_diag(self._prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
-        return self._information(forms, np.minimum(self.nothing.scales, 1.0)), prior, ends
+        return self._information(forms, np.minimum(self.null_hypothesis.scales, 1.0)), prior, ends
 
     def covariance(self, fit: Fit) -> np.ndarray:
         """Return the covariance (m, m) of the parameters of a fit of these logs, given the noise model.
@@ -131,7 +131,7 @@ class Evidence(Score):
 
         Rows are divided by σ and `step` [s] apart; `free` (S, m) are the noise model's columns on them, divided by σ.
         """
-        scale, weight = min(float(self.nothing.scales[joint]), 1.0), step / self.law.independent
+        scale, weight = min(float(self.null_hypothesis.scales[joint]), 1.0), step / self.law.error_correlation_time
         square = free.T @ free * weight
         lower = np.linalg.cholesky(np.eye(len(square)) / self.noise.variance(joint, scale, 0.0, {}) + square / scale)
         half = solved_lower(lower, free.T @ rows * weight) / scale

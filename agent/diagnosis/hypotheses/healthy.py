@@ -85,7 +85,7 @@ class _Shown:
     @classmethod
     def of(cls, evidence: Evidence) -> _Shown:
         pool = evidence.pool
-        gains, values = evidence.shortlist_gains(evidence.nothing)
+        gains, values = evidence.shortlist_gains(evidence.null_hypothesis)
         torque = [max(pool.torque(k, parameters).values(), default=0.0) for k, parameters in enumerate(values)]
         return cls(evidence, gains, values, np.array(torque), [pool.rms(k) for k in range(pool.size)])
 
@@ -114,7 +114,7 @@ def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> _Learned:
     fit = fit.with_noise(sliding)
     residual, precision = _of_others(fit, len(logs))
     unseen = fit.with_residual(residual / fit.sigma)  # as of a model of other logs
-    fit = unseen.with_chosen(precision=np.mean(precision, axis=0), shift=np.zeros(len(precision[0])))
+    fit = unseen.with_chosen(precision=np.mean(precision, axis=0), prior_information=np.zeros(len(precision[0])))
     parts = [(fit.of_log(number, precision[number]), fit.rows_of(number)) for number in range(len(logs))]
     return sliding, *_shown(fit, parts)
 
@@ -172,7 +172,7 @@ def _effects(
     places: dict[HypothesisKey, list[int]] = {}
     for number in np.argsort(-total).tolist():
         if not forms[number].transient:
-            places.setdefault(forms[number].place, []).append(number)
+            places.setdefault(forms[number].key, []).append(number)
     sizes, known = dict[HypothesisKey, float](), set[int]()
     for place, numbers in places.items():
         best = [(of_log, max(numbers, key=lambda k: of_log.gains[k])) for of_log in shown]

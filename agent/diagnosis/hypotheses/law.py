@@ -13,7 +13,7 @@ from agent.diagnosis.limits import known
 class EvidenceLaw:
     """The numbers. Shares of torque are root mean square over nominal joint torque."""
 
-    independent: float = known(0.5, "s", "between independent errors", "chosen")
+    error_correlation_time: float = known(0.5, "s", "between independent errors", "chosen")
     systematic: float = known(0.4, "held-out error", "the model's own error per background column", "tuned")
     drift: float = known(0.001, "nominal torque", "what an arm changes by itself per background column", "tuned")
     daily: float = known(
@@ -42,7 +42,7 @@ class EvidenceLaw:
     detected: float = known(
         0.8, "probability", "with which an effect of the smallest detectable size is named", "chosen"
     )
-    most: int = known(3, "effects", "in one hypothesis", "chosen")
+    max_effects: int = known(3, "effects", "in one hypothesis", "chosen")
     certain: float = known(
         0.95, "probability", "of something, below which an arm is healthy, and the highest of any class", "chosen: 5 %"
     )

@@ -78,7 +78,7 @@ class NoiseModel:
         self.rows = len(self.sigma)
         base = self.sigma.min(axis=0)
         self.unit = self.nominal / base
-        self.weight = self._step / rate / law.independent
+        self.weight = self._step / rate / law.error_correlation_time
         self.count = self.rows * self.weight
         q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
         self.log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
@@ -140,7 +140,7 @@ class NoiseModel:
         """Per joint columns (S, m) over σ of effects that every arm has a little of, as large as its smallest σ."""
         usual: dict[int, list[np.ndarray]] = {}
         least = self.sigma.min(axis=0)
-        for candidate in {c.place: c for c in reversed(candidates) if c.effect.usual}.values():
+        for candidate in {c.key: c for c in reversed(candidates) if c.effect.usual}.values():
             for joint in candidate.blocks:
                 block = self.thinned(candidate, joint)
                 size = np.sqrt(np.mean((block * self.sigma[:, [joint]]) ** 2, axis=0))

@@ -22,15 +22,15 @@ class CandidateBlock:
         self.columns: list[np.ndarray] = []
         self.parameters: list[np.ndarray] = []
         self.moments: list[np.ndarray] = []
-        self.place = np.full((noise.joints, int(self.first[-1])), -1)
-        power = np.zeros(self.place.shape)
+        self.column_index = np.full((noise.joints, int(self.first[-1])), -1)
+        power = np.zeros(self.column_index.shape)
         for j in range(noise.joints):
             here = [k for k, c in enumerate(candidates) if j in c.blocks]
             columns = np.zeros((noise.rows, int(widths[here].sum())), dtype=np.float32)
             which = np.concatenate([np.arange(self.first[k], self.first[k + 1]) for k in here] or [np.empty(0, int)])
-            self.place[j, which] = np.arange(len(which))
+            self.column_index[j, which] = np.arange(len(which))
             for k in here:
-                columns[:, self.block(k, j)] = noise.thinned(candidates[k], j)
+                columns[:, self.column_slice(k, j)] = noise.thinned(candidates[k], j)
             weight = (noise.sigma[:, j] / noise.nominal[j]).astype(np.float32) ** 2
             power[j, which] = np.einsum("sk,sk,s->k", columns, columns, weight) / noise.rows
             self.columns.append(columns)
@@ -49,26 +49,26 @@ class CandidateBlock:
         """(N, n, k, k) products of the columns of candidates with as many parameters, joint by joint."""
         own = np.zeros((len(which), noise.joints, width, width))
         for j in range(noise.joints):
-            place = self.place[j, self.first[which]]
-            here = np.flatnonzero(place >= 0)
+            at = self.column_index[j, self.first[which]]
+            here = np.flatnonzero(at >= 0)
             for start in range(0, len(here), _AT_ONCE):
                 some = here[start : start + _AT_ONCE]
-                block = self.columns[j][:, place[some][:, None] + np.arange(width)].transpose(1, 2, 0)
-                own[some, j] = (block @ block.transpose(0, 2, 1)) * noise.weight
+                columns = self.columns[j][:, at[some][:, None] + np.arange(width)].transpose(1, 2, 0)
+                own[some, j] = (columns @ columns.transpose(0, 2, 1)) * noise.weight
         return own
 
-    def block(self, number: int, joint: int) -> slice:
+    def column_slice(self, number: int, joint: int) -> slice:
         """Columns of a candidate on a joint that it acts on."""
-        start = int(self.place[joint, self.first[number]])
+        start = int(self.column_index[joint, self.first[number]])
         return slice(start, start + len(self.candidates[number].names))
 
 
-class CandidateMoments:
+class CandidatePool:
     """Candidates that hypotheses are made of, each known by its number, next to a noise model's columns."""
 
     def __init__(self, noise: NoiseModel):
         self.noise = noise
-        self.banks: list[CandidateBlock] = []
+        self.blocks: list[CandidateBlock] = []
         self._where: list[tuple[int, int]] = []
         self._products: dict[tuple[int, int, int], np.ndarray] = {}
 
@@ -80,15 +80,15 @@ class CandidateMoments:
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Add candidates; they get the next numbers."""
         if candidates:
-            self._where += [(len(self.banks), k) for k in range(len(candidates))]
-            self.banks.append(CandidateBlock(self.noise, candidates))
+            self._where += [(len(self.blocks), k) for k in range(len(candidates))]
+            self.blocks.append(CandidateBlock(self.noise, candidates))
             for candidate in candidates:
                 candidate.release()
 
     def candidate(self, number: int) -> Candidate:
         """One of them."""
-        bank, k = self._where[number]
-        return self.banks[bank].candidates[k]
+        block, k = self._where[number]
+        return self.blocks[block].candidates[k]
 
     def numbers(self, forms: Sequence[Candidate]) -> list[int]:
         """Numbers of candidates; those that are not in the pool are added."""
@@ -99,12 +99,12 @@ class CandidateMoments:
 
     def kinds(self, place: HypothesisKey) -> int:
         """How many kinds of forms there are of an effect on its joints."""
-        return len({tuple(sorted(c.settings)) for bank in self.banks for c in bank.candidates if c.place == place})
+        return len({tuple(sorted(c.settings)) for block in self.blocks for c in block.candidates if c.key == place})
 
     def rms(self, number: int) -> np.ndarray:
         """(k,) torque of each column of a candidate over nominal, root mean square, on the joint with most."""
-        bank, k = self._where[number]
-        return self.banks[bank].rms[self.banks[bank].first[k] : self.banks[bank].first[k + 1]]
+        block, k = self._where[number]
+        return self.blocks[block].rms[self.blocks[block].first[k] : self.blocks[block].first[k + 1]]
 
     def ridge(self, number: int, size: float) -> np.ndarray:
         """(k, k) prior precision of a candidate's parameters, of a size over nominal torque."""
@@ -112,12 +112,12 @@ class CandidateMoments:
 
     def columns(self, number: int, joint: int) -> np.ndarray:
         """(S, k) columns of a candidate on a joint that it acts on, over σ."""
-        bank, k = self._where[number]
-        return self.banks[bank].columns[joint][:, self.banks[bank].block(k, joint)]
+        block, k = self._where[number]
+        return self.blocks[block].columns[joint][:, self.blocks[block].column_slice(k, joint)]
 
-    def products_with(self, number: int, bank: CandidateBlock, joint: int) -> np.ndarray:
-        """(k, K) products of a candidate's columns on a joint with those of a bank."""
-        return np.asarray((self.columns(number, joint).T @ bank.columns[joint]).astype(float) * self.noise.weight)
+    def products_with(self, number: int, block: CandidateBlock, joint: int) -> np.ndarray:
+        """(k, K) products of a candidate's columns on a joint with those of a block."""
+        return np.asarray((self.columns(number, joint).T @ block.columns[joint]).astype(float) * self.noise.weight)
 
     def moments(self, joint: int, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """B of [X, Z, r], V of U with these, and Q of U."""
@@ -128,9 +128,9 @@ class CandidateMoments:
         own, cross, at = np.zeros((size, size)), np.zeros((free, size)), np.r_[0:width, size - 1]
         own[np.ix_(at, at)], cross[:, at] = gram[np.ix_(keep, keep)], gram[of_free][:, keep]
         for place, k in enumerate(effects):
-            bank, number = self._where[k]
-            span, moments = slice(ends[place], ends[place + 1]), self.banks[bank].moments[joint]
-            moments = moments[:, self.banks[bank].block(number, joint)]
+            block, number = self._where[k]
+            span, moments = slice(ends[place], ends[place + 1]), self.blocks[block].moments[joint]
+            moments = moments[:, self.blocks[block].column_slice(number, joint)]
             own[at, span], own[span, at], cross[:, span] = moments[keep], moments[keep].T, moments[of_free]
             own[span, span] = self._own(k, joint)
             for before, other in enumerate(effects[:place]):
@@ -173,9 +173,9 @@ class CandidateMoments:
         return np.asarray(1 / (np.maximum(rms, 1e-9) * np.sqrt(len(rms))))
 
     def _own(self, number: int, joint: int) -> np.ndarray:
-        bank, k = self._where[number]
-        candidate = self.banks[bank].candidates[k]
-        return np.asarray(self.banks[bank].own[len(candidate.names)][self.banks[bank].row[k], joint])
+        block, k = self._where[number]
+        candidate = self.blocks[block].candidates[k]
+        return np.asarray(self.blocks[block].own[len(candidate.names)][self.blocks[block].row[k], joint])
 
     def _product(self, first: int, second: int, joint: int) -> np.ndarray:
         """(k, l) products of the columns of two candidates on a joint."""

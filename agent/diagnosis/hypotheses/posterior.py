@@ -51,7 +51,7 @@ def compare(
     plain = next(h for h in hypotheses if not h.effects and not h.free)
     size = dict(zip(leader.places, leader.torque, strict=True))
     places = sorted(faults, key=lambda place: (-size[place], place))
-    causes = tuple(next(c for c in leader.effects if c.place == place) for place in places)
+    causes = tuple(next(c for c in leader.effects if c.key == place) for place in places)
     equal = [_equal_by_definition(place, leader, hypotheses) for place in places]
     classes = [_class_of(place, faults, statements, names) for place, names in zip(places, equal, strict=True)]
     return SelectedCauses(
@@ -72,7 +72,7 @@ def posterior(
     evidence: Evidence, found: Sequence[EvaluatedHypothesis], observed: Observed | None = None
 ) -> list[Hypothesis]:
     """Return hypotheses with their probabilities, likeliest first."""
-    nothing = evidence.nothing
+    nothing = evidence.null_hypothesis
     log = np.array([e.log_evidence for e in found])
     alone = nothing.log_evidence
     if observed is not None:
@@ -85,7 +85,7 @@ def posterior(
         for log_evidence, each in zip(log, priors, strict=True)
     ]
     total = sum(sum(each.values()) for each in weights)
-    before = max(float(nothing.left.sum()), 1e-12)
+    before = max(float(nothing.unexplained.sum()), 1e-12)
     hypotheses = [
         Hypothesis(
             tuple(evidence.pool.candidate(k) for k in e.effects),
@@ -93,7 +93,7 @@ def posterior(
             float(factor),
             {faults: weight / total for faults, weight in each.items()},
             e.largest,
-            1 - float(e.left.sum()) / before,
+            1 - float(e.unexplained.sum()) / before,
             float(e.scales.max()),
         )
         for e, factor, each in zip(found, log - alone, weights, strict=True)
@@ -105,7 +105,7 @@ def posterior(
 def _priors(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> dict[frozenset[HypothesisKey], float]:
     """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
     priors = {}
-    places = [evidence.pool.candidate(k).place for k in hypothesis.effects]
+    places = [evidence.pool.candidate(k).key for k in hypothesis.effects]
     sizes = zip(places, hypothesis.largest, strict=True)
     healthy = [
         _log_healthy(size, evidence.usual.get(place), evidence.distance_from_baseline(hypothesis, k))

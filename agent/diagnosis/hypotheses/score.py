@@ -29,7 +29,7 @@ import numpy as np
 from agent.diagnosis.hypotheses.joint_moments import JointMoments, NoiseRoot, remaining_energy, solved, solved_lower
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
-from agent.diagnosis.hypotheses.pool import CandidateMoments
+from agent.diagnosis.hypotheses.pool import CandidatePool
 from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
@@ -45,8 +45,8 @@ class EvaluatedHypothesis:
 
     `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
     posterior mean of effect k. `torque[k]` is its torque per joint over nominal, fitted without the noise model: the
-    root mean square while it lasts, in the log with most. `left` (n,) is the squared torque over nominal that neither
-    the effects nor the noise model explain.
+    root mean square while it lasts, in the log with most. `unexplained` (n,) is the squared torque over nominal that
+    neither the effects nor the noise model explain.
     """
 
     effects: tuple[int, ...]
@@ -55,7 +55,7 @@ class EvaluatedHypothesis:
     scales: np.ndarray
     values: tuple[np.ndarray, ...]
     torque: tuple[dict[int, float], ...]
-    left: np.ndarray
+    unexplained: np.ndarray
     joints: tuple[JointMoments, ...] = field(repr=False)
     precision: np.ndarray = field(repr=False)
     mean: np.ndarray = field(repr=False)
@@ -91,29 +91,29 @@ class Score:
         self.usual: dict[HypothesisKey, float] = {}
         for effect in healthy or ():
             size = noise.torque_of(effect.candidate, effect.amount)
-            self.usual[effect.candidate.place] = max(size, self.usual.get(effect.candidate.place, 0.0))
+            self.usual[effect.candidate.key] = max(size, self.usual.get(effect.candidate.key, 0.0))
             effect.candidate.release()
-        self._baseline = {effect.candidate.place: effect for effect in healthy or () if effect.mean is not None}
-        self.pool = CandidateMoments(noise)
+        self._baseline = {effect.candidate.key: effect for effect in healthy or () if effect.mean is not None}
+        self.pool = CandidatePool(noise)
         rounds = _ROUNDS + 1  # in which the scales are fitted
         self._moments = lru_cache(maxsize=rounds * self.joints)(self.pool.moments)
-        self._index, self._pull = list(fit.index), fit.shift
-        self._friction = _of_the_day(fit)
+        self._index, self._prior_information = list(fit.index), fit.prior_information
+        self._friction = _varying_friction(fit)
         self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
-        self._prior = _of_another_day(fit, self._friction, law.daily)
+        self._prior = _prior_with_daily_friction(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self._prior)[1])
         residual = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
         largest = float(np.sqrt(np.mean(residual**2, axis=0)).max())
         self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
-        self._nothing: EvaluatedHypothesis | None = None
+        self._null_hypothesis: EvaluatedHypothesis | None = None
         self.pool.add(candidates)
-        self._nothing = self.evaluate(())
+        self._null_hypothesis = self.evaluate(())
 
     @property
-    def nothing(self) -> EvaluatedHypothesis:
+    def null_hypothesis(self) -> EvaluatedHypothesis:
         """The hypothesis without effects."""
-        assert self._nothing is not None
-        return self._nothing
+        assert self._null_hypothesis is not None
+        return self._null_hypothesis
 
     def possible(self, number: int, values: np.ndarray) -> bool:
         """Whether parameters (k,) of a candidate can be true."""
@@ -153,15 +153,17 @@ class Score:
         """
         law, free = self.law, dict(free or {})
         if scales is None:
-            scales = np.ones(self.joints) if self._nothing is None else self._nothing.scales
+            scales = np.ones(self.joints) if self._null_hypothesis is None else self._null_hypothesis.scales
         scales = scales.copy()
         form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
         touched = {j for k in effects for j in self.pool.candidate(k).blocks} | set(free)
-        if refit and self._nothing:  # a large effect raises the scales, and the noise model would then explain it
+        if (
+            refit and self._null_hypothesis
+        ):  # a large effect raises the scales, and the noise model would then explain it
             scales[list(touched)] = np.minimum(scales[list(touched)], 1.0)
-        rounds = _ROUNDS + (self._nothing is None)
+        rounds = _ROUNDS + (self._null_hypothesis is None)
         for last in [False] * rounds + [True]:
-            precision, side, joints, ends = self._together(effects, free, scales, form, sizes)
+            precision, side, joints, ends = self._joint_system(effects, free, scales, form, sizes)
             mean, log_det = solved(precision, side)
             values = [mean[a:b] for a, b in pairwise(ends)]
             torque = [self.pool.torque(k, v) for k, v in zip(effects, values, strict=True)]
@@ -172,7 +174,7 @@ class Score:
             if self._friction.size:
                 form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
             sizes = [_nearest(self.sizes, max(of_effect.values(), default=0.0)) for of_effect in torque]
-            for j in (touched if self._nothing else range(self.joints)) if refit else ():
+            for j in (touched if self._null_hypothesis else range(self.joints)) if refit else ():
                 energy = remaining_energy(joints[j], mean[joints[j].at])
                 scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
@@ -188,7 +190,7 @@ class Score:
             scales=scales,
             values=tuple(values),
             torque=tuple(self.pool.lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
-            left=np.array([self._left(j, joint, mean[joint.at]) for j, joint in enumerate(joints)]),
+            unexplained=np.array([self._unexplained(j, joint, mean[joint.at]) for j, joint in enumerate(joints)]),
             joints=tuple(joints),
             precision=precision,
             mean=mean,
@@ -204,7 +206,7 @@ class Score:
             where the baseline does not show the effect.
         """
         number, values = evaluated.effects[which], evaluated.values[which]
-        known = self._baseline.get(self.pool.candidate(number).place)
+        known = self._baseline.get(self.pool.candidate(number).key)
         if known is None or known.mean is None or known.deviation is None:
             return None
         (other,), end = self.pool.numbers([known.candidate]), len(evaluated.mean)
@@ -244,7 +246,7 @@ class Score:
         """Parameters (k,) of each effect, fitted without the noise model, which would absorb part of any effect."""
         base = len(self._prior)
         matrix, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
-        matrix[:base, :base], side[:base] = self._prior, self._pull
+        matrix[:base, :base], side[:base] = self._prior, self._prior_information
         for scale, joint in zip(scales, joints, strict=True):
             own = joint.moments[0] / scale
             matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
@@ -269,18 +271,18 @@ class Score:
         log_det = self.noise.count * np.log(scale) + root.log_det + self.noise.common(j) * np.log(variance)
         return JointMoments(own / scale - half.T @ half, float(log_det), root, half, (own, cross, square), at, effects)
 
-    def _together(
+    def _joint_system(
         self, effects: Sequence[int], free: dict[int, float], scales: np.ndarray, form: np.ndarray, sizes: list[float]
     ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
         """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
         base = len(self._prior)
         ends = base + np.cumsum([0, *(len(self.pool.candidate(k).names) for k in effects)])
         precision, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
-        precision[:base, :base], side[:base] = self._prior, self._pull
+        precision[:base, :base], side[:base] = self._prior, self._prior_information
         joints = []
         for j in range(self.joints):
             here = [place for place, k in enumerate(effects) if j in self.pool.candidate(k).blocks]
-            known = self._nothing
+            known = self._null_hypothesis
             if known is not None and not here and j not in free and scales[j] == known.scales[j]:
                 joint = known.joints[j]
             else:
@@ -300,7 +302,7 @@ class Score:
         chosen = candidate.effect.counted(candidate.settings)
         return 0.5 * float(np.log(self.noise.count)) * chosen
 
-    def _left(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
+    def _unexplained(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
         weights, square = np.append(mean, -1.0), joint.moments[2]
         energy, common = np.diag(square), self.noise.common(j)
@@ -310,7 +312,7 @@ class Score:
         return excess / float(self.noise.unit[j]) ** 2
 
 
-def _of_the_day(fit: Fit) -> np.ndarray:
+def _varying_friction(fit: Fit) -> np.ndarray:
     """Parameters that differ from day to day: friction of a model that was estimated before on the machine."""
     model = fit.reference.model
     if not fit.given or model.method == SIMULATOR:
@@ -319,7 +321,7 @@ def _of_the_day(fit: Fit) -> np.ndarray:
     return np.array([k for k in friction if model.values[k] != 0], dtype=int)
 
 
-def _of_another_day(fit: Fit, friction: np.ndarray, daily: float) -> np.ndarray:
+def _prior_with_daily_friction(fit: Fit, friction: np.ndarray, daily: float) -> np.ndarray:
     """(p, p) prior precision of the model's parameters, whose friction differs from day to day by a share of itself."""
     spread = np.diag((daily * fit.reference.model.values[friction]) ** -2.0)
     gain = np.linalg.solve(fit.precision[np.ix_(friction, friction)] + spread, fit.precision[friction])

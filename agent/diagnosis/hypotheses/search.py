@@ -77,11 +77,11 @@ class Search:
         self._known.update(first)
         self._add(self.fit, wanted)
         self._progress(f"comparing {evidence.pool.size} parameterisations")
-        self._keep(evidence.nothing)
-        self._extend(evidence.nothing, _FIRST)
-        for depth in range(1, LAW.most):
+        self._keep(evidence.null_hypothesis)
+        self._extend(evidence.null_hypothesis, _FIRST)
+        for depth in range(1, LAW.max_effects):
             before = max(hypothesis.log_evidence for hypothesis in self._found.values())
-            for base in self._worth(depth)[: _EXTENDED[min(depth, 2) - 1]]:
+            for base in self._extendable(depth)[: _EXTENDED[min(depth, 2) - 1]]:
                 self._progress(f"trying a further effect next to {self._text(base)}")
                 self._extend(base, _THEN)
             deeper = [
@@ -92,7 +92,7 @@ class Search:
             if max(deeper, default=-np.inf) < before:
                 break
         selected = self._compared()
-        for _ in range(LAW.most):
+        for _ in range(LAW.max_effects):
             if not self._replace(selected):
                 break
             selected = self._compared()
@@ -117,7 +117,7 @@ class Search:
 
     @staticmethod
     def _key(forms: Iterable[Candidate], free: Iterable[int]) -> Key:
-        return frozenset(form.place for form in forms), frozenset(free)
+        return frozenset(form.key for form in forms), frozenset(free)
 
     def forms(self) -> Iterator[list[Candidate]]:
         """Yield every effect on all its possible joints, with the grid of its nonlinear parameters, some at a time."""
@@ -138,9 +138,9 @@ class Search:
         names = [self.evidence.pool.candidate(k).effect.name for k in base.effects]
         return " and ".join([*names, *["something else"] * len(base.free)])
 
-    def _worth(self, depth: int) -> list[EvaluatedHypothesis]:
+    def _extendable(self, depth: int) -> list[EvaluatedHypothesis]:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
-        least, smallest = self.evidence.nothing.log_evidence, 0.5 * LAW.practical
+        least, smallest = self.evidence.null_hypothesis.log_evidence, 0.5 * LAW.practical
         level = [
             hypothesis
             for hypothesis in self._found.values()
@@ -190,7 +190,7 @@ class Search:
                 continue
             gains, values = evidence.shortlist_gains(base)
             for k in range(before, evidence.pool.size):
-                place = evidence.pool.candidate(k).place
+                place = evidence.pool.candidate(k).key
                 if place in best and gains[k] > gains[best[place]] and evidence.possible(k, values[k]):
                     best[place] = k
         return gains, values
@@ -210,11 +210,11 @@ class Search:
         chosen = [evidence.pool.candidate(k) for k in base.effects]
         places: dict[HypothesisKey, list[int]] = {}
         for k in np.argsort(-gains).tolist():
-            place = evidence.pool.candidate(k).place
+            place = evidence.pool.candidate(k).key
             forms = places.get(place, [])
             if len(forms) >= _FORMS or (not forms and len(places) >= count):
                 continue
-            if not _imitates(evidence.pool.candidate(k), chosen) and evidence.possible(k, values[k]):
+            if not _duplicates_law(evidence.pool.candidate(k), chosen) and evidence.possible(k, values[k]):
                 places.setdefault(place, []).append(k)
         return places
 
@@ -228,10 +228,10 @@ class Search:
             self._found[key] = evaluated
 
 
-def _imitates(candidate: Candidate, chosen: Sequence[Candidate]) -> bool:
+def _duplicates_law(candidate: Candidate, chosen: Sequence[Candidate]) -> bool:
     """Whether a law of the same argument sits on the same joint already: the two would be one law."""
     shapes = set(candidate.effect.shapes)
     return any(
-        candidate.place == other.place or (candidate.joints == other.joints and shapes & set(other.effect.shapes))
+        candidate.key == other.key or (candidate.joints == other.joints and shapes & set(other.effect.shapes))
         for other in chosen
     )

@@ -41,7 +41,7 @@ class Hypothesis:
     @property
     def places(self) -> tuple[HypothesisKey, ...]:
         """Effects and joints."""
-        return tuple(candidate.place for candidate in self.effects)
+        return tuple(candidate.key for candidate in self.effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class SelectedCauses:
         return of_joint and self.evidence.irreplaceable(pool.numbers(self.causes), number)
 
     def keeping(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
-        """The same finding with some of the causes, by number, and whether there is a gap without them.
+        """The same selection with some of the causes, by number, and whether there is a gap without them.
 
         Causes take the forms that they have without the others, if that was evaluated.
         """
@@ -91,11 +91,11 @@ class SelectedCauses:
         if len(kept) == len(self.causes):
             return self
         causes = tuple(self.causes[k] for k in kept)
-        places = {cause.place for cause in causes}
+        places = {cause.key for cause in causes}
         by_themselves = next((h for h in self.hypotheses if not h.free and places == set(h.places)), None)
         if by_themselves is not None:
             forms = dict(zip(by_themselves.places, by_themselves.effects, strict=True))
-            causes = tuple(forms[cause.place] for cause in causes)
+            causes = tuple(forms[cause.key] for cause in causes)
         return replace(
             self,
             fit=self.plain.with_chosen(causes) if causes else self.plain,
@@ -105,22 +105,22 @@ class SelectedCauses:
         )
 
     def without_causes(self, leaves_gap: bool) -> SelectedCauses:
-        """The same finding with no cause, and whether there is a gap nevertheless."""
+        """The same selection with no cause, and whether there is a gap nevertheless."""
         return replace(self.keeping(()), leaves_gap=leaves_gap)
 
     def with_rejected(self, why: Sequence[str]) -> SelectedCauses:
-        """The same finding with the causes that do not explain the gap among what is rejected; `why` of every cause."""
-        new = tuple((cause.place, reason) for cause, reason in zip(self.causes, why, strict=True) if reason)
+        """The same selection with causes that do not explain the gap among what is rejected; `why` of every cause."""
+        new = tuple((cause.key, reason) for cause, reason in zip(self.causes, why, strict=True) if reason)
         return replace(self, rejected=(*self.rejected, *new))
 
     def with_rival(self, number: int, place: HypothesisKey) -> SelectedCauses:
-        """The same finding with one more hypothesis that equals a cause, by number."""
+        """The same selection with one more hypothesis that equals a cause, by number."""
         rivals = tuple((place, *r) if k == number and place not in r else r for k, r in enumerate(self.rivals))
         return replace(self, rivals=rivals)
 
     def with_runner_up(self, number: int = 0) -> SelectedCauses:
-        """The same finding with the likeliest replacement of a cause in another hypothesis as its equal."""
-        place, named = self.causes[number].place, {cause.place for cause in self.causes}
+        """The same selection with the likeliest replacement of a cause in another hypothesis as its equal."""
+        place, named = self.causes[number].key, {cause.key for cause in self.causes}
         others = (other for h in self.hypotheses if place not in h.places for other in h.places)
         likely = next((other for other in others if share_joints(place, other) and other not in named), None)
         return self if likely is None else self.with_rival(number, likely)

@@ -28,7 +28,7 @@ def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[HypothesisKey, 
     for number, size in enumerate(evidence.smallest_sizes()):
         candidate = evidence.pool.candidate(number)
         if not candidate.transient:
-            place = candidate.place
+            place = candidate.key
             smallest[place] = min(smallest.get(place, np.inf), size / candidate.effect.practical)
     for effect in CATALOGUE.values():
         for joints in () if effect.transient or effect.shows_in == "path" else effect.places(dataset.robot):

@@ -69,7 +69,7 @@ class CommandedStretch:
     @cached_property
     def frames(self) -> int:
         """Frames that make a row: those of the time between independent rows."""
-        return max(1, round(LIMITS.independent / float(np.median(np.diff(self.time)))))
+        return max(1, round(LIMITS.row_correlation_time / float(np.median(np.diff(self.time)))))
 
     def averaged(self, frames: np.ndarray) -> np.ndarray:
         """(R, …) means over the frames of each row, of the judged frames (S', …)."""
@@ -216,8 +216,8 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
                 stretches.append(stretch)
     if not stretches:
         raise InputError(
-            f"{logs[0].path}: no stretch of {LIMITS.fewest * LIMITS.independent:g} s after the servos have settled "
-            "has positions and set-points on the same stamps; record longer, and record what "
+            f"{logs[0].path}: no stretch of {LIMITS.fewest * LIMITS.row_correlation_time:g} s after the servos have "
+            "settled has positions and set-points on the same stamps; record longer, and record what "
             "was commanded together with the positions"
         )
     return tuple(stretches)

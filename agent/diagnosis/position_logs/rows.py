@@ -3,8 +3,8 @@
 The fit is linear about the numbers of `OutputErrorFit`, θ. Residuals are carried over to the file's own numbers by the
 same derivatives, e + X (θ − θ_file): numbers are released and effects are tried from the file on, as with torque.
 
-A row is the mean over `LIMITS.independent`. Rounding and jitter of stamps differ from frame to frame, so most of them
-goes, and what differs for longer stays.
+A row is the mean over `LIMITS.row_correlation_time`. Rounding and jitter of stamps differ from frame to frame, so most
+of them goes, and what differs for longer stays.
 """
 
 from __future__ import annotations

@@ -102,10 +102,10 @@ def _side(diagnosis: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | N
     place = effect, tuple(robot.joint_names.index(name) for name in joints)
     text = f"{effect} on {', '.join(joints)}" if joints else effect
     for cause, values in zip(diagnosis.selected.causes, diagnosis.selected.fit.values, strict=True):
-        if cause.place == place:
+        if cause.key == place:
             return _Side(effect, text, (), cause, values)
     for form in (form for hypothesis in diagnosis.selected.hypotheses for form in hypothesis.effects):
-        if form.place == place:
+        if form.key == place:
             return _Side(effect, text, (), form, None)
     numbers = CATALOGUE[effect].numbers
     groups = tuple(
@@ -154,7 +154,7 @@ def _of_logs(diagnosis: Diagnosis, forms: Sequence[Candidate]) -> np.ndarray:
         np.hstack([part[:, :-1], *(form.blocks.get(j, np.zeros((len(part), len(form.names)))) for form in forms)])
         for j, part in enumerate(rows)
     ]
-    return np.asarray(sum(block.T @ block for block in blocks) / (diagnosis.dataset.rate * LIMITS.independent))
+    return np.asarray(sum(block.T @ block for block in blocks) / (diagnosis.dataset.rate * LIMITS.row_correlation_time))
 
 
 def _of_motion(
@@ -175,7 +175,7 @@ def _of_motion(
     rows = np.concatenate(columns, axis=2) / diagnosis.dataset.fit.sigma.min(axis=0)[:, None]
     rate = 1 / float(np.median(np.diff(line.stretch.time)))
     flat = rows.reshape(-1, rows.shape[2])
-    return np.asarray(flat.T @ flat / max(rate * LIMITS.independent, 1.0))
+    return np.asarray(flat.T @ flat / max(rate * LIMITS.row_correlation_time, 1.0))
 
 
 def _line(

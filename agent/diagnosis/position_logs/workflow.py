@@ -219,13 +219,13 @@ def _nearest_cut(stretches: Sequence[CommandedStretch]) -> float:
     """The nearest cut [rad or m] that is believed: cut commands hold the measured positions, which any stiff servo
     follows, so that most commands of each joint have to be as they were wanted."""
     lag = np.concatenate([np.abs(stretch.wanted.set_points - stretch.position) for stretch in stretches])
-    return float(np.quantile(lag, LIMITS.most, axis=0).max())
+    return float(np.quantile(lag, LIMITS.majority, axis=0).max())
 
 
 def _gains(fit: OutputErrorFit, other: OutputErrorFit) -> np.ndarray:
     """(n,) log-likelihood that another fit gains on each joint, where the joint's error is unknown."""
     lasting = sum(float(stretch.time[-1] - stretch.time[0]) for stretch in fit.stretches)
-    return np.asarray(lasting / LIMITS.independent * (np.log(fit.rmse) - np.log(other.rmse)))
+    return np.asarray(lasting / LIMITS.row_correlation_time * (np.log(fit.rmse) - np.log(other.rmse)))
 
 
 def _by_chance(count: int) -> float:

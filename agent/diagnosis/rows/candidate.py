@@ -70,7 +70,7 @@ class Candidate:
     stable: bool = True
 
     @property
-    def place(self) -> HypothesisKey:
+    def key(self) -> HypothesisKey:
         """Effect and joints."""
         return self.effect.name, self.joints
 

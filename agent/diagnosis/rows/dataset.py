@@ -20,7 +20,6 @@ from agent.estimation import (
     EITHER,
     EstimationSettings,
     FilterSettings,
-    Observation,
     estimate,
     observe,
     physical_prior,
@@ -181,7 +180,8 @@ def assemble(
     scale = reference.scale
     background = np.maximum(_moving_error(model), LIMITS.least_background * scale)
     if not given:
-        background = _expected_error(robot, observation, LIMITS.unknown_error)
+        torque = np.concatenate([segment.torque for segment in observation.segments])
+        background = expected_error(robot, torque, LIMITS.unknown_error)
     cutoff = observation.segments[0].motion.cutoff
     background = np.maximum(background, rounding_noise(reference, logs, cutoff))
     signals: list[MotionSignals] = []
@@ -208,12 +208,12 @@ def assemble(
     residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
     cell, folds, single = folds_of(time, log, logs)
     if given and not refitted:
-        precision, shift = precision_of(model.covariance), np.zeros(len(model.values))
+        precision, prior_information = precision_of(model.covariance), np.zeros(len(model.values))
     else:
         prior = physical_prior(observation, model.terms, _links(model))
-        precision, shift = prior.precision, prior.precision @ (prior.mean - model.values)
+        precision, prior_information = prior.precision, prior.precision @ (prior.mean - model.values)
     block = segments_of(time, log, logs, LIMITS.block)
-    fit = Fit(reference, signals, joined, index, sigma, precision, shift, cell, block, folds, single)
+    fit = Fit(reference, signals, joined, index, sigma, precision, prior_information, cell, block, folds, single)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, cutoff)
 
@@ -233,9 +233,8 @@ def _links(model: IdentifiedModel) -> str:
     return DESCRIPTION if chosen == EITHER else chosen
 
 
-def _expected_error(robot: RobotDescription, observation: Observation, share: float) -> np.ndarray:
-    """Usual error (n,) [N·m] of a model of these logs if there are no others: a share of the torque."""
-    torque = np.concatenate([segment.torque for segment in observation.segments])
+def expected_error(robot: RobotDescription, torque: np.ndarray, share: float) -> np.ndarray:
+    """Usual error (n,) [N·m] of a model of motions with this torque (S, n) if there are no others: a share of it."""
     usual = share * np.std(torque, axis=0)
     least = np.where(np.isfinite(robot.nominal_torque), LIMITS.least_background * robot.nominal_torque, 0.0)
     return np.maximum(np.maximum(usual, least), 1e-9)

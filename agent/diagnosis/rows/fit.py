@@ -32,7 +32,7 @@ class Fit:
 
     rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over `sigma` (S', n);
     `cell` (S',) of every row (-1: guard); `block` (S',) segment of the motion, the same in all of its cycles; `folds`
-    for what repeats, `single` folds for what happens once. `rests` are found where none are given.
+    for what repeats, `single_folds` for what happens once. `rests` are found where none are given.
     """
 
     def __init__(
@@ -43,22 +43,22 @@ class Fit:
         index: Sequence[np.ndarray],
         sigma: np.ndarray,
         precision: np.ndarray,
-        shift: np.ndarray,
+        prior_information: np.ndarray,
         cell: np.ndarray,
         block: np.ndarray,
         folds: Sequence[Fold],
-        single: Sequence[Fold],
+        single_folds: Sequence[Fold],
         rests: StandstillWhitening | None = None,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
-        self.sigma, self.precision, self.shift = sigma, precision, shift
-        self.cell, self.block, self.folds, self.single = cell, block, list(folds), list(single)
+        self.sigma, self.precision, self.prior_information = sigma, precision, prior_information
+        self.cell, self.block, self.folds, self.single_folds = cell, block, list(folds), list(single_folds)
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
-        self.repeat = max(1.0, LIMITS.independent * rate)
-        self.rests = StandstillWhitening.of(self.signals, self.repeat) if rests is None else rests
+        self.rows_per_independent = max(1.0, LIMITS.row_correlation_time * rate)
+        self.rests = StandstillWhitening.of(self.signals, self.rows_per_independent) if rests is None else rests
         self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
@@ -86,8 +86,8 @@ class Fit:
                 self.gram[:, other_span, span] = both
                 self.gram[:, span, other_span] = np.swapaxes(both, 1, 2)
             self.prior[span, span] = self.ridge(candidate, own.sum(axis=0).diagonal())
-        self.pull = np.zeros(size)
-        self.pull[:base] = self.shift
+        self._padded_information = np.zeros(size)
+        self._padded_information[:base] = self.prior_information
         self._solved: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         self._left: dict[tuple[bool, int | None], np.ndarray] = {}
         self._errors: dict[bool, float] = {}
@@ -95,7 +95,7 @@ class Fit:
 
     def ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
         """(k, k) prior precision of a candidate's parameters, from the energy (k,) of its columns."""
-        weak = np.diag(1e-7 * energy / self.repeat + 1e-12)
+        weak = np.diag(1e-7 * energy / self.rows_per_independent + 1e-12)
         return weak if candidate.prior is None else weak + candidate.prior
 
     def with_chosen(self, chosen: Sequence[Candidate] = (), **changed: Any) -> Fit:
@@ -125,11 +125,11 @@ class Fit:
             self.index,
             sigma,
             self.precision,
-            self.shift,
+            self.prior_information,
             self.cell,
             self.block,
             self.folds,
-            self.single,
+            self.single_folds,
             self.rests,
         )
 
@@ -167,11 +167,11 @@ class Fit:
     @property
     def given(self) -> bool:
         """Whether the model comes from other data; a model fitted to the same data is drawn to its prior."""
-        return not np.any(self.shift)
+        return not np.any(self.prior_information)
 
     @property
     def transient(self) -> bool:
-        """Whether a chosen effect happens once, so that only `single` folds can judge it."""
+        """Whether a chosen effect happens once, so that only `single_folds` can judge it."""
         return any(c.transient for c in self.chosen)
 
     @property
@@ -213,11 +213,11 @@ class Fit:
         """Inverse of H and the parameters for training cells."""
         key = hash(train.tobytes())
         if key not in self._solved:
-            total = self.gram[train].sum(axis=0) / self.repeat
+            total = self.gram[train].sum(axis=0) / self.rows_per_independent
             matrix = total[:-1, :-1] + self.prior
             scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
             inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
-            self._solved[key] = inverse, inverse @ (total[:-1, -1] + self.pull)
+            self._solved[key] = inverse, inverse @ (total[:-1, -1] + self._padded_information)
         return self._solved[key]
 
     def out_of_fold(self, single: bool = False, taken_out: int | None = None) -> np.ndarray:
@@ -228,7 +228,7 @@ class Fit:
         if (single, taken_out) not in self._left:
             ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
             result = np.full((len(self.cell), len(self.rows)), np.nan)
-            for fold in self.single if single else self.folds:
+            for fold in self.single_folds if single else self.folds:
                 parameters = self.solve(fold.train)[1].copy()
                 if taken_out is not None:
                     parameters[ends[taken_out] : ends[taken_out + 1]] = 0
@@ -242,7 +242,7 @@ class Fit:
         """Held-out Σ e² / σ² of model and chosen effects."""
         if single not in self._errors:
             total = 0.0
-            for fold in self.single if single else self.folds:
+            for fold in self.single_folds if single else self.folds:
                 extended = np.append(self.solve(fold.train)[1], -1.0)
                 total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
             self._errors[single] = total
@@ -283,9 +283,13 @@ class Fit:
         inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
         ((cross, own),) = self._moments.of([candidate])
         others = [self._moments.between(other, [candidate])[0] for other in self.chosen]
-        *known, side = np.concatenate([cross[:, :-1], *others, cross[:, -1:]], axis=1).sum(axis=0) / self.repeat
+        *known, side = (
+            np.concatenate([cross[:, :-1], *others, cross[:, -1:]], axis=1).sum(axis=0) / self.rows_per_independent
+        )
         square, known = own.sum(axis=0), np.reshape(known, (self.size, -1))
-        schur = square / self.repeat + self.ridge(candidate, square.diagonal()) - known.T @ inverse @ known
+        schur = (
+            square / self.rows_per_independent + self.ridge(candidate, square.diagonal()) - known.T @ inverse @ known
+        )
         unit = 1 / np.sqrt(np.maximum(schur.diagonal(), 1e-300))
         candidate.release()
         return np.asarray(unit * np.linalg.solve(schur * np.outer(unit, unit), unit * (side - known.T @ alone)))
@@ -305,8 +309,8 @@ class Fit:
             if joint in candidate.blocks:
                 cross[at : at + len(candidate.names)] = candidate.blocks[joint].T @ twice
             at += len(candidate.names)
-        side = (twice.T @ rows[:, -1] - cross.T @ alone) / self.repeat
-        energy = np.sum(block**2, axis=0) / self.repeat
-        schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.repeat**2
+        side = (twice.T @ rows[:, -1] - cross.T @ alone) / self.rows_per_independent
+        energy = np.sum(block**2, axis=0) / self.rows_per_independent
+        schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.rows_per_independent**2
         schur = np.maximum(schur, 1e-6 * energy + 1e-12)
-        return side**2 / schur * self.repeat, side / schur
+        return side**2 / schur * self.rows_per_independent, side / schur

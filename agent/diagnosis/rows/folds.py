@@ -15,7 +15,7 @@ from agent.recording import PARTS, Log
 
 def folds_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[Fold], list[Fold]]:
     """Cells of rows, folds that leave out a motion, and folds that leave out every other segment of a motion too."""
-    parity = (time / LIMITS.independent).astype(int) % 2
+    parity = (time / LIMITS.row_correlation_time).astype(int) % 2
     group, names = _motions(time, log, logs) if len(logs) > 1 else _blocks(time, logs[0])
     cell = np.where(group >= 0, 2 * group + parity, -1)
     count = 2 * (int(group.max()) + 1)
@@ -41,7 +41,7 @@ def _motions(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np
         here = log == number
         borders = part_borders(entry, 2 if number in alone else 1)
         since = time[here]
-        near = np.any(np.abs(since[:, None] - borders) < 2 * LIMITS.independent, axis=1)
+        near = np.any(np.abs(since[:, None] - borders) < 2 * LIMITS.row_correlation_time, axis=1)
         group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since))
         edges = [0.0, *borders, float(entry.t[-1])]
         names += [f"{entry.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)] if len(borders) else [entry.name]
@@ -83,7 +83,7 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
     else:
         borders = np.linspace(first, last, LIMITS.blocks + 1)[1:-1]
     group = np.searchsorted(borders, time)
-    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < 2 * LIMITS.independent
+    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < 2 * LIMITS.row_correlation_time
     edges = [first, *borders, last]
     names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
     return np.where(near, -1, group), names

@@ -44,7 +44,7 @@ def standstill_rows(signals: Sequence[MotionSignals]) -> np.ndarray:
     parts = []
     for motion, still in zip(signals, stationary_samples(signals), strict=True):
         rate = 1 / float(np.median(np.diff(motion.time)))
-        shortest, reach = max(int(LIMITS.independent * rate), 1), int(0.5 * LIMITS.independent * rate)
+        shortest, reach = max(int(LIMITS.row_correlation_time * rate), 1), int(0.5 * LIMITS.row_correlation_time * rate)
         begins = _count(still, 0, shortest - 1) == shortest
         long = _count(begins, shortest - 1, 0) > 0
         parts.append((_count(long, reach, reach) > 0)[motion.kept])

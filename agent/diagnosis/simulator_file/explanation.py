@@ -6,9 +6,9 @@ joints; a joint that then stands out has a gap that numbers do not close.
 
 Three explanations are compared, the simplest first. The numbers are right and one effect explains the gap; or friction
 and rotors are moved, with effects; or links are moved too. The first that stands against those that move more numbers
-is taken (`Explanation.stands`): it leaves hardly more, or no more at all where its effects may replace a change of
-links. With links, numbers are chosen in two ways, and the one that leaves less is taken: without an effect, or with the
-effects that are found while all numbers are free, as numbers chosen without an effect move in its stead. Where
+is taken (`Explanation.holds_against`): it leaves hardly more, or no more at all where its effects may replace a change
+of links. With links, numbers are chosen in two ways, and the one that leaves less is taken: without an effect, or with
+the effects that are found while all numbers are free, as numbers chosen without an effect move in its stead. Where
 positions are judged, the one with fewest parameters is taken: gains of servos imitate effects, and effects friction.
 """
 
@@ -28,7 +28,7 @@ from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
-from agent.diagnosis.rows.dataset import Dataset, assemble
+from agent.diagnosis.rows.dataset import Dataset, assemble, expected_error
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.released_numbers import (
     DELAY,
@@ -98,7 +98,7 @@ class Explanation:
         Its causes may leave `enough` times as much. A load may leave only what chance explains, as any effect where
         gains of servos may be wrong, and other effects that may be links nothing more.
         """
-        if _like_links(self.selected.causes):
+        if _may_be_links(self.selected.causes):
             return self.remaining_error <= best
         like_load = any(candidate.effect.numbers == "load" for candidate in self.selected.causes)
         if like_load or self.released.moved.servos is not None:
@@ -118,7 +118,7 @@ class Explanation:
         return float(np.mean(self.gap.after**2))
 
 
-def _like_links(causes: Sequence[Candidate]) -> bool:
+def _may_be_links(causes: Sequence[Candidate]) -> bool:
     """Whether an effect may stand in for links that weigh otherwise: a torque over position, and no load."""
     effects = [candidate.effect for candidate in causes]
     return any(e.numbers != "load" and (e.family == "load" or _LINKS in e.confused_with) for e in effects)
@@ -137,10 +137,7 @@ def with_expected_error(model: IdentifiedModel, logs: Sequence[Log], share: floa
                 "none, record the current times the torque constant of the joint"
             )
     torque = np.concatenate([log.effort for log in logs if log.effort is not None])
-    usual = (LIMITS.unknown_error if share is None else share) * np.std(torque, axis=0)
-    nominal = model.robot.nominal_torque
-    least = np.where(np.isfinite(nominal), LIMITS.least_background * nominal, 0.0)
-    error = np.maximum(np.maximum(usual, least), 1e-9)
+    error = expected_error(model.robot, torque, LIMITS.unknown_error if share is None else share)
     settings = FilterSettings()
     cutoff = min(resolve_cutoff(log, settings) for log in logs)
     return replace(
@@ -218,10 +215,12 @@ def _search_with(
     search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
     searched = search.run()
     selected = name_causes(searched)
-    if hunting := [k for k in range(len(searched.causes)) if not selected.causes and _hunts(moved, searched, k)]:
+    if hunting := [
+        k for k in range(len(searched.causes)) if not selected.causes and _is_limit_cycle(moved, searched, k)
+    ]:
         selected = searched.keeping(hunting, leaves_gap=True)
     selected, gap = keep_supported(moved, selected, unit)
-    large = [k for k in range(len(selected.causes)) if _misses(moved, selected, gap, k)]
+    large = [k for k in range(len(selected.causes)) if _exceeds_expected_error(moved, selected, gap, k)]
     kept = [k for k in large if _possible(model, selected.fit, k)]
     if len(kept) < len(selected.causes):
         selected = selected.keeping(kept) if kept else selected.without_causes(leaves_gap=bool(large))
@@ -229,22 +228,22 @@ def _search_with(
     return Explanation(released, search, selected, gap)
 
 
-def _misses(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap, number: int) -> bool:
+def _exceeds_expected_error(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap, number: int) -> bool:
     """Whether the arm errs by more than with a right file without causes; positions on the joints of a cause, and
     without this one alone too.
 
-    With torque a small effect may be named next to a large one, and in positions a servo that `_hunts`.
+    With torque a small effect may be named next to a large one, and in positions a servo that `_is_limit_cycle`.
     """
     if dataset.servos is None:
         return bool((gap.before * gap.unit >= dataset.fit.usual_error).any())
-    if _hunts(dataset, selected, number):
+    if _is_limit_cycle(dataset, selected, number):
         return True
     without = rms(gap.beyond(selected.fit.out_of_fold(selected.fit.transient, number)))
     joints = list(selected.causes[number].joints) or slice(None)
     return bool((np.minimum(without, gap.before * gap.unit) >= dataset.fit.usual_error)[joints].any())
 
 
-def _hunts(dataset: Dataset, selected: SelectedCauses, number: int) -> bool:
+def _is_limit_cycle(dataset: Dataset, selected: SelectedCauses, number: int) -> bool:
     """Whether a cause is a servo that hunts in a play: now and then, never twice alike, and as nothing smooth does.
 
     So it may be less than an error of friction on the whole, and its form leaves more than that of other effects.
@@ -280,7 +279,7 @@ def replacing_numbers(entry: Explanation, number: int, unit: np.ndarray) -> Rele
     Only causes that may be links are checked: a wrong weight of some or all links is more likely.
     """
     causes = entry.selected.causes
-    if not (causes[number].effect.numbers == "load" or _like_links([causes[number]])):
+    if not (causes[number].effect.numbers == "load" or _may_be_links([causes[number]])):
         return None
     others = (*causes[:number], *causes[number + 1 :])
     chosen = release(entry.released.given, others)

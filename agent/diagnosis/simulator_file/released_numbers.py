@@ -106,7 +106,7 @@ def release(
     pool = [group for group in groups_of(dataset) if links or not group.moves_links]
     pool = pool if kinds is None else [group for group in pool if group.kind in (*kinds, DELAY)]
     if dataset.servos is not None:
-        return _moved(dataset, _needed(dataset, pool, causes))
+        return _with_released(dataset, _stepwise_groups(dataset, pool, causes))
     chosen: list[Group] = []
     fit = dataset.fit.with_chosen(causes)
     least = LIMITS.least_gain * float(fit.count.sum())
@@ -123,10 +123,10 @@ def release(
             without = released_fit(dataset, others).with_chosen(causes)
             if without.error(without.transient) - fit.error(fit.transient) < least:
                 chosen, fit = others, without
-    return _moved(dataset, chosen)
+    return _with_released(dataset, chosen)
 
 
-def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]) -> list[Group]:
+def _stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]) -> list[Group]:
     """Groups of which none can go back to the file's numbers, and to which none can be added (stepwise selection).
 
     Each number has to gain: a link has ten, and links together only scale all else. From all groups on, many gains may
@@ -137,7 +137,7 @@ def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]
     fit = dataset.fit.with_chosen(causes)
     least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.held)
     parts = [(fold.train, fit.gram[fold.test].sum(axis=0)) for fold in fit.folds]
-    known = [(fit.gram[train].sum(axis=0) / fit.repeat, test) for train, test in parts]
+    known = [(fit.gram[train].sum(axis=0) / fit.rows_per_independent, test) for train, test in parts]
 
     def error(groups: Sequence[Group]) -> float:
         prior = fit.prior.copy()
@@ -177,10 +177,10 @@ def _needed(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]
 
 def release_all(dataset: Dataset) -> ReleasedSimulator:
     """Release every group, so that no choice among them stands between a search and its effects."""
-    return _moved(dataset, groups_of(dataset))
+    return _with_released(dataset, groups_of(dataset))
 
 
-def _moved(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
+def _with_released(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
     fit = released_fit(dataset, groups) if groups else dataset.fit
     unexplained = fit.out_of_fold()
     residual = np.where(np.isnan(unexplained), dataset.residual, unexplained)
@@ -346,10 +346,10 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
         alone.append(dataset.fit.out_of_fold())
         texts.append(OWN_PARAMETERS)
     stages = [fit.out_of_fold(fit.transient) for fit in fits]
-    errors = [gap.raw, *(gap.beyond(stage) for stage in (*stages, *alone))]
+    errors = [gap.error_before, *(gap.beyond(stage) for stage in (*stages, *alone))]
     energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
     floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
-    rows = _energy(np.isfinite(gap.raw).astype(float), dataset.fit.block)
+    rows = _energy(np.isfinite(gap.error_before).astype(float), dataset.fit.block)
     draws = resampled(energy.shape[1])
     whole = energy.sum(axis=1) / rows.sum()
     drawn = energy @ draws.T / (rows @ draws.T)  # (stages, draws)
@@ -451,7 +451,7 @@ def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: 
     known = released.parts
     pool = [group for group in groups_of(released.given) if group.kind not in (GAIN, LINK)]
     pool = [group for group in pool if group.kind != OFFSET or (group.kind, group.joint) in known]
-    fit = released_fit(released.given, _needed(released.given, pool, causes)).with_chosen(causes)
+    fit = released_fit(released.given, _stepwise_groups(released.given, pool, causes)).with_chosen(causes)
     error = rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit
     return bool(np.mean(error**2) <= LIMITS.alike * np.mean(gap.after**2))
 
@@ -461,7 +461,7 @@ def likely_effects_on(released: ReleasedSimulator, selected: SelectedCauses, gro
     have moved for these. None where torque is judged."""
     if released.given.servos is None:
         return []
-    named = {cause.place for cause in selected.causes}
+    named = {cause.key for cause in selected.causes}
     likeliest = selected.hypotheses[0].places
     return [name for name, joints in likeliest if joints == (group.joint,) and (name, joints) not in named]
 
@@ -473,7 +473,7 @@ def _without(released: ReleasedSimulator, groups: Sequence[Group], causes: Seque
     return fit.out_of_fold(fit.transient)
 
 
-def _causing(
+def _groups_that_cause(
     released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap, doubted: Collection[int]
 ) -> list[Group]:
     """The released groups that may be a cause: all where torque is judged.
@@ -530,7 +530,7 @@ def causes_of_numbers(
         return part if part is None or released.given.servos is None else min(part, 1.0)
 
     bodies: list[Group] = []
-    for group in _causing(released, selected.causes, gap, doubted):
+    for group in _groups_that_cause(released, selected.causes, gap, doubted):
         joint = () if group.joint < 0 else (names[group.joint],)
         if load := _load(released, group):
             like_links = (EffectPlace(_NAMES["links"], ()),)

@@ -116,7 +116,7 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.nd
     p, normal = len(dataset.held), float(ndtri((1 + LAW.certain) / 2))
     covariance = explanation.search.evidence.covariance(wide)
     spread = normal * _deviations(dataset, drives, covariance[:p, :p], free, form)
-    for folds in (wide.folds, wide.single):
+    for folds in (wide.folds, wide.single_folds):
         without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0])) for fold in folds]
         spread = np.maximum(spread, jackknife(np.stack(without)))
     spread[_DELAY] += 0.5 * dataset.servos.step

@@ -26,7 +26,7 @@ def regime_map(diagnosis: Diagnosis) -> Table:
     values = np.full((dataset.robot.dof, len(REGIMES)), np.nan)
     for joint in range(dataset.robot.dof):
         by_regime = masks(dataset, joint)
-        relative = (diagnosis.gap.raw[:, joint] / dataset.fit.sigma[:, joint]) ** 2
+        relative = (diagnosis.gap.error_before[:, joint] / dataset.fit.sigma[:, joint]) ** 2
         for column, regime in enumerate(REGIMES):
             here = by_regime[regime] & np.isfinite(relative)
             if here.any():
@@ -40,7 +40,7 @@ def band_map(diagnosis: Diagnosis) -> Table:
     dataset = diagnosis.dataset
     values = np.full((dataset.robot.dof, len(BANDS) + 1), np.nan)
     for joint in range(dataset.robot.dof):
-        error = diagnosis.gap.raw[:, joint]
+        error = diagnosis.gap.error_before[:, joint]
         values[joint, :-1] = 100 * band_shares(dataset, error)
         phase = motor_phase_share(dataset, error, joint)
         if phase is not None:
@@ -76,7 +76,7 @@ def remainder(diagnosis: Diagnosis) -> Plot | None:
         return None
     dataset, entry = diagnosis.dataset, diagnosis.document.remainder[0]
     joint = dataset.robot.joint_names.index(entry.joint)
-    error, speed = diagnosis.gap.left[:, joint], dataset.speed[:, joint]
+    error, speed = diagnosis.gap.error_after[:, joint], dataset.speed[:, joint]
     position = np.concatenate([s.q[s.kept, joint] for s in dataset.fit.signals])
     name, over = ("position", position) if entry.follows["position"] >= entry.follows["speed"] else ("speed", speed)
     edges = np.linspace(over.min(), over.max(), _BINS + 1)
@@ -102,8 +102,8 @@ def timeline(diagnosis: Diagnosis) -> Plot:
         here = np.flatnonzero(dataset.log == number)
         for joint in order[:_MOST_JOINTS]:
             series = (
-                Series("model alone", diagnosis.gap.raw[here, joint], colour=SERIES[1]),
-                Series("with the effects", diagnosis.gap.left[here, joint], colour=SERIES[0]),
+                Series("model alone", diagnosis.gap.error_before[here, joint], colour=SERIES[1]),
+                Series("with the effects", diagnosis.gap.error_after[here, joint], colour=SERIES[0]),
             )
             title = f"{names[joint]}, {log_title(log)}"
             unit = torque_units(dataset.robot)[joint]

@@ -76,7 +76,9 @@ def _motions(diagnosis: Diagnosis) -> Plot:
         series = (
             Series("measured", scale * measured, colour=SERIES[2]),
             Series("as given", scale * (measured - dataset.residual[here, k]), "dashed", SERIES[1]),
-            Series("corrected", scale * (measured - diagnosis.gap.left[here, k]), colour=SERIES[0], dash=DASHES[2]),
+            Series(
+                "corrected", scale * (measured - diagnosis.gap.error_after[here, k]), colour=SERIES[0], dash=DASHES[2]
+            ),
         )
         panels.append(Panel(name, unit, series, time, joint=name))
     caption = f"Measured and simulated motion of each joint in {log.name}, which the correction was not fitted to."

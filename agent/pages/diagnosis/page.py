@@ -267,7 +267,7 @@ def _closure_section(diagnosis: Diagnosis, simulated: Sequence[Simulated]) -> Se
 def _hypotheses_section(diagnosis: Diagnosis) -> Section:
     """The hypotheses that were compared, likeliest first."""
     selected, names = diagnosis.selected, diagnosis.dataset.robot.joint_names
-    named = {candidate.place for candidate in selected.causes}
+    named = {candidate.key for candidate in selected.causes}
     rivals = {place for several in selected.rivals for place in several}
     rows = []
     for hypothesis in selected.hypotheses[:_MOST_HYPOTHESES]:

@@ -59,7 +59,7 @@ def left(arm, model, healthy) -> Callable[[str, Law], float]:
 
 
 def _best(evidence: Evidence) -> Candidate:
-    gains, _ = evidence.shortlist_gains(evidence.as_expected(evidence.nothing))
+    gains, _ = evidence.shortlist_gains(evidence.as_expected(evidence.null_hypothesis))
     return evidence.pool.candidate(int(np.argmax(gains)))
 
 
