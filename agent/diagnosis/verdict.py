@@ -7,7 +7,7 @@ torque, `decide_by_position` of positions, and `with_numbers` adds the numbers o
 | `ambiguous` | the same, but the first cause has rivals; or causes explain less, so one is assumed (`keep_supported`) |
 | `unknown` | there is a gap, and nothing that may be named explains it |
 | `unknown` | also where none shows, but these motions leave the torque of a joint open that the model was fitted to |
-| `no_gap` | there is none beyond the noise model |
+| `no_gap` | there is none beyond the noise model, nor an error that is no chance |
 
 Causes pass two checks before: they are probable (`name_causes`), and they explain motion that their fit did not see
 (`keep_supported`). Whoever else needs the verdict reads it from the result.
@@ -111,13 +111,14 @@ def has_size(cause: Cause) -> bool:
     return max(closes) >= LIMITS.least_share and all(map(isfinite, (*closes, *values))) and any(values)
 
 
-def name_causes(selected: SelectedCauses) -> SelectedCauses:
+def name_causes(selected: SelectedCauses, errs: bool = False) -> SelectedCauses:
     """Return what is named of the leading causes by its probability.
 
     None if the arm is likely healthy, if no class is sure enough, or if all causes leave too much to the noise model. A
-    cause whose equal by definition was ignored is not named alone: the likeliest other one is its rival.
+    cause whose equal by definition was ignored is not named alone: the likeliest other one is its rival. `errs`:
+    whether a joint errs by more than a healthy arm does, whatever the noise model explains of it.
     """
-    exceeded = selected.scale >= LIMITS.usual_error**2
+    exceeded = errs or selected.scale >= LIMITS.usual_error**2
     if not exceeded and selected.healthy > 1 - LAW.certain:
         return selected.without_causes(leaves_gap=False)
     sure = [k for k, probability in enumerate(selected.probability) if probability >= LAW.sure]

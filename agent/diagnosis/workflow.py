@@ -10,13 +10,14 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
-from agent.diagnosis.gap.adequacy import remainders
+from agent.diagnosis.gap.adequacy import exceeds, remainders
 from agent.diagnosis.gap.drives_off import channel_zero, zero_likelihood, zero_remarks
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
-from agent.diagnosis.gap.torque_gap import rms
+from agent.diagnosis.gap.torque_gap import held_out_gap, rms
 from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
@@ -104,7 +105,8 @@ def diagnose(
         observed = None if zero is None else zero_likelihood(zero, dataset.model)
         usual = None if model is None else healthy_on(dataset.fit, model, without)
         search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
-        selected = replace(name_causes(search.run()), zero_known=zero is not None)
+        searched = search.run()
+        selected = replace(name_causes(searched, _errs(dataset, searched)), zero_known=zero is not None)
         if (held := held_torque(dataset, selected.fit)) is not None:
             selected = selected.without_causes(leaves_gap=True)
         explanation = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *keep_supported(dataset, selected))
@@ -114,6 +116,17 @@ def diagnose(
     beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
     said = (*_warnings(robot, logs, model is not None), *_of_model(dataset), *beyond, *_path_warnings(motion))
     return build(explanation, _verdict(explanation, motion), motion, (*twice, *of_zero, *said), held)
+
+
+def _errs(dataset: Dataset, searched: SelectedCauses) -> bool:
+    """Whether a joint errs by more than chance, whatever friction may differ by from day to day.
+
+    A model of one log does not tell by how much it errs on other motions.
+    """
+    if not dataset.given or len(dataset.model.provenance.get("logs", ())) < 2:
+        return False
+    another_day = dataset.fit.with_prior(searched.evidence.prior)
+    return exceeds(another_day, held_out_gap(dataset, another_day), LIMITS.deviations)
 
 
 def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:

@@ -21,7 +21,7 @@ from agent.recording import Log
 from agent.robot import RobotDescription, rigid_bodies
 
 _NOTICED = 1e-3  # s, from where on a fit at equal times hides much of it
-_ROUNDS = 10  # numerical: of Gauss and Newton, each of which leaves a small part of what the one before remaining
+_ROUNDS = 10  # numerical: of Gauss and Newton, each of which leaves a small part of what the one before left
 _RANK = 1e-6  # numerical: singular value, over the largest, of columns that add nothing
 
 

@@ -11,7 +11,6 @@ from agent.diagnosis.gap.adequacy import LARGEST_ERROR, closed_alone, exceeds, r
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
-from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.verdict import drop_replaceable
 from agent.model import CATALOGUE
@@ -87,7 +86,7 @@ def test_a_joint_errs_by_more_than_the_model_as_given_and_with_its_parameters_mo
     """What two motions teach may be wrong on a third."""
     raw, left = LONG[:, 0] * [before, 1.0], LONG[:, 0] * [after, 1.0]
     raw, left = (rows / rms(rows) * [size, 1.0] for rows, size in ((raw, before), (left, after)))
-    fit = SimpleNamespace(near_rest=np.zeros(left.shape, dtype=bool), usual_error=LIMITS.usual_error * np.ones(2))
+    fit = SimpleNamespace(near_rest=np.zeros(left.shape, dtype=bool), sigma=np.ones(left.shape))
     gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
     assert exceeds(fit, gap) is expected
     assert not exceeds(SimpleNamespace(**{**vars(fit), "near_rest": ~fit.near_rest}), gap), "nothing moves"
@@ -175,9 +174,14 @@ def test_a_cause_that_the_others_replace_in_another_form_is_not_needed(case):
 
 @pytest.mark.parametrize(
     ("effect", "joints", "expected"),
-    [("torque_ripple", (1,), True), ("gravity_spring", (1,), False), ("wrist_coupling", (1, 2), False)],
+    [
+        ("torque_ripple", (1,), True),
+        ("gravity_spring", (1,), False),
+        ("torque_constant", (1,), False),
+        ("wrist_coupling", (1, 2), False),
+    ],
 )
-def test_a_curve_over_position_or_a_cause_of_two_joints_may_not_leave_more(effect, joints, expected):
+def test_only_what_is_in_the_gear_of_one_joint_may_leave_more(effect, joints, expected):
     cause = SimpleNamespace(effect=CATALOGUE[effect], joints=joints)
     evidence = SimpleNamespace(pool=SimpleNamespace(numbers=len), irreplaceable=lambda numbers, number: True)
     selected = SelectedCauses(None, None, (cause,), ((),), (0.9,), 1.0, (), evidence)

@@ -194,3 +194,22 @@ def test_what_an_arm_has_on_other_logs(monkeypatch):
     assert (found[1].mean, found[1].deviation) == (None, None)
     assert len(healthy.healthy_on(fit, model)) == 3
     assert healthy.healthy_on(fit, Model()) is None
+
+
+@pytest.mark.parametrize(
+    ("logs_of_fit", "size", "verdict"), [(3, 0.35, "unknown"), (3, 0.1, "no_gap"), (1, 0.35, "no_gap")]
+)
+def test_a_joint_that_errs_by_more_than_chance_has_a_gap_though_no_effect_is_known(plant, logs_of_fit, size, verdict):
+    """Friction that varies smoothly along the way, which the noise model takes for the model's own error.
+
+    A model of one log may err as much on another motion.
+    """
+    baseline = [record(plant, f"log {k}", k) for k in (21, 22, 23)][:logs_of_fit]
+    model = with_healthy_effects(estimate(plant.robot, baseline), baseline)
+    logs = [record(plant, f"judged {k}", k) for k in (31, 32)]
+    for number, log in enumerate(logs):
+        way = log.position[:, 1]
+        part = (way - way.min()) / np.ptp(way)
+        drag = size * np.tanh(log.velocity[:, 1] / 0.02) * np.cos(np.pi * part)
+        logs[number] = replace(log, effort=log.effort + np.column_stack([0 * drag, drag]))
+    assert diagnose(plant.robot, logs, model, without=list(CATALOGUE)).verdict == verdict

@@ -37,9 +37,9 @@ def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     return np.asarray(after / np.sqrt(own + (1 - LAW.certain) * before**2))
 
 
-def exceeds(fit: Fit, gap: HeldOutGap) -> bool:
-    """Return whether a joint errs by more than a model's own error, as given and also if its parameters move."""
-    return bool((np.minimum(*_while_moving(fit, gap)) >= fit.usual_error).any())
+def exceeds(fit: Fit, gap: HeldOutGap, times: float = LIMITS.usual_error) -> bool:
+    """Return whether a joint errs by as many `times` a model's own error, as given and also if its parameters move."""
+    return bool((np.minimum(*_while_moving(fit, gap)) >= times * fit.sigma.min(axis=0)).any())
 
 
 def _while_moving(fit: Fit, gap: HeldOutGap) -> tuple[np.ndarray, np.ndarray]:

@@ -99,8 +99,8 @@ class Evidence(Score):
         form begin and end. The scales are those without effects.
         """
         numbers = self.pool.numbers(forms)
-        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
-        prior = block_diag(self._prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
+        ends = len(self.prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        prior = block_diag(self.prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
         return self._information(forms, np.minimum(self.null_hypothesis.scales, 1.0)), prior, ends
 
     def covariance(self, fit: Fit) -> np.ndarray:
@@ -116,7 +116,7 @@ class Evidence(Score):
 
     def _information(self, forms: Sequence[Candidate], scales: np.ndarray) -> np.ndarray:
         numbers = self.pool.numbers(forms)
-        ends = len(self._prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        ends = len(self.prior) + np.cumsum([0, *(len(form.names) for form in forms)])
         total = np.zeros((int(ends[-1]),) * 2)
         for j in range(self.joints):
             here = [place for place, form in enumerate(forms) if j in form.blocks]

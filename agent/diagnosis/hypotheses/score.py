@@ -100,8 +100,8 @@ class Score:
         self._index, self._prior_information = list(fit.index), fit.prior_information
         self._friction = _varying_friction(fit)
         self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
-        self._prior = _prior_with_daily_friction(fit, self._friction, law.daily)
-        self._log_prior = float(np.linalg.slogdet(self._prior)[1])
+        self.prior = _prior_with_daily_friction(fit, self._friction, law.daily)
+        self._log_prior = float(np.linalg.slogdet(self.prior)[1])
         residual = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
         largest = float(np.sqrt(np.mean(residual**2, axis=0)).max())
         self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
@@ -244,9 +244,9 @@ class Score:
         self, joints: Sequence[JointMoments], scales: np.ndarray, ridges: Sequence[np.ndarray], ends: np.ndarray
     ) -> list[np.ndarray]:
         """Parameters (k,) of each effect, fitted without the noise model, which would absorb part of any effect."""
-        base = len(self._prior)
+        base = len(self.prior)
         matrix, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
-        matrix[:base, :base], side[:base] = self._prior, self._prior_information
+        matrix[:base, :base], side[:base] = self.prior, self._prior_information
         for scale, joint in zip(scales, joints, strict=True):
             own = joint.moments[0] / scale
             matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
@@ -275,10 +275,10 @@ class Score:
         self, effects: Sequence[int], free: dict[int, float], scales: np.ndarray, form: np.ndarray, sizes: list[float]
     ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
         """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
-        base = len(self._prior)
+        base = len(self.prior)
         ends = base + np.cumsum([0, *(len(self.pool.candidate(k).names) for k in effects)])
         precision, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
-        precision[:base, :base], side[:base] = self._prior, self._prior_information
+        precision[:base, :base], side[:base] = self.prior, self._prior_information
         joints = []
         for j in range(self.joints):
             here = [place for place, k in enumerate(effects) if j in self.pool.candidate(k).blocks]

@@ -76,10 +76,10 @@ class SelectedCauses:
         return next(h for h in self.hypotheses if not h.effects and not h.free).scale
 
     def irreplaceable(self, number: int) -> bool:
-        """Whether a cause of one joint, by number, is needed next to anything smooth there, and is no smooth curve."""
+        """Whether a cause in the gear of one joint, by number, is needed next to anything smooth there."""
         cause, pool = self.causes[number], self.evidence.pool
-        of_joint = len(cause.joints) == 1 and "position" not in cause.effect.shapes
-        return of_joint and self.evidence.irreplaceable(pool.numbers(self.causes), number)
+        of_gear = len(cause.joints) == 1 and cause.effect.family == "transmission"
+        return of_gear and self.evidence.irreplaceable(pool.numbers(self.causes), number)
 
     def keeping(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
         """The same selection with some of the causes, by number, and whether there is a gap without them.
