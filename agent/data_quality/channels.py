@@ -143,7 +143,8 @@ def unsigned_torque(logs: Sequence[Log]) -> np.ndarray:
 
 def stuck_joints(of: Recordings) -> Iterator[QualityFinding]:
     """Positions that never change while set-points or velocities say that the joint moves."""
-    constant = np.max([np.ptp(log.position, axis=0) for log in of.logs], axis=0) == 0
+    ranges = np.max([np.ptp(log.position, axis=0) for log in of.logs], axis=0)
+    constant = ranges <= np.finfo(float).eps  # rad or m: no finer change of an angle of 1 rad can be written down
     for k in np.flatnonzero(constant).tolist():
         name = of.robot.joint_names[k]
         asked = (log.reference_position for log in of.logs)

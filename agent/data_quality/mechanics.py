@@ -51,7 +51,9 @@ class _Mistake:
 def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
     """Findings of a fit to the samples. A mistake that only fits better must also do so with further logs, if any."""
     robot, samples = of.robot, of.samples
-    if samples is None or not (plain := RigidFit(Dynamics(robot), samples)).says_something():
+    if samples is None or not samples.moving.any():
+        return
+    if not (plain := RigidFit(Dynamics(robot), samples)).says_something():
         return
     solution = plain.solution(samples.torque)
     pushing, driven_on = _pushing(plain, samples.torque)

@@ -165,6 +165,7 @@ def test_any_damaged_table_gives_a_result_or_one_message(arm, folder, damages):
 @given(st.lists(DAMAGE, min_size=1, max_size=3))
 @example([("scale", "effort", 1e-300)])
 @example([("scale", "velocity", 1e-300)])
+@example([("value", 0, 300, "position", 0, 0.0), ("scale", "position", 1e-300)])
 def test_any_damaged_log_gives_a_result_or_one_message(arm, folder, damages):
     check(arm, folder, damages, diagnose=False)
 
