@@ -1,4 +1,4 @@
-"""The steps of a linear system that changes with time, for many inputs at once."""
+"""The motion of a linear arm that changes with time, for many inputs at once."""
 
 from __future__ import annotations
 
@@ -7,38 +7,41 @@ import numpy as np
 from agent.compiled.compiling import compiled
 
 
-@compiled("f8[:,:,::1](f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], i8, i8, i8)")
+@compiled("f8[:,:,::1](f8[:,:,::1], f8[:,:,::1], f8[::1], f8[:,:,::1], i8, i8)")
 def stepped(
-    system: np.ndarray, entry: np.ndarray, inputs: np.ndarray, first: int, every: int, outputs: int
+    system: np.ndarray, entry: np.ndarray, half: np.ndarray, inputs: np.ndarray, first: int, every: int
 ) -> np.ndarray:
-    """(R, `outputs`, K) first outputs of x ← A x + B u from x = 0 on. S steps have S + 1 states.
+    """(R, n, K) positions of v ← A [q, v] + B u, q ← q + h/2 (v + v before), from rest on. S steps have S + 1 states.
 
     Args:
-        system: A (S, m, m) of each step.
-        entry: B (S, m, J).
+        system: A (S, n, 2n) of each step.
+        entry: B (S, n, J).
+        half: h/2 (S,).
         inputs: u (S, J, K).
         first: state that is returned first.
         every: states from one that is returned to the next.
-        outputs: number of states' entries that are returned.
     """
-    steps, size, columns = len(system), system.shape[1], inputs.shape[2]
-    answers = np.zeros(((steps - first) // every + 1, outputs, columns))
-    state, before = np.zeros((size, columns)), np.zeros((size, columns))
+    steps, n, joints, columns = len(system), system.shape[1], inputs.shape[1], inputs.shape[2]
+    answers = np.zeros(((steps - first) // every + 1, n, columns))
+    place, speed, after = np.zeros((n, columns)), np.zeros((n, columns)), np.zeros((n, columns))
     row = 1 if first == 0 else 0
     for k in range(steps):
-        state, before = before, state
-        for i in range(size):
+        for i in range(n):
+            of = after[i]
+            of[:] = 0.0
+            for j in range(n):
+                by_place, by_speed, q, v = system[k, i, j], system[k, i, n + j], place[j], speed[j]
+                for c in range(columns):
+                    of[c] += by_place * q[c] + by_speed * v[c]
+            for j in range(joints):
+                factor, u = entry[k, i, j], inputs[k, j]
+                for c in range(columns):
+                    of[c] += factor * u[c]
+        for i in range(n):
             for c in range(columns):
-                state[i, c] = 0.0
-            for j in range(size):
-                factor = system[k, i, j]
-                for c in range(columns):
-                    state[i, c] += factor * before[j, c]
-            for j in range(entry.shape[2]):
-                factor = entry[k, i, j]
-                for c in range(columns):
-                    state[i, c] += factor * inputs[k, j, c]
+                place[i, c] += half[k] * (speed[i, c] + after[i, c])
+        speed, after = after, speed
         if k + 1 == first + row * every:
-            answers[row] = state[:outputs]
+            answers[row] = place
             row += 1
     return answers

@@ -18,6 +18,7 @@ from agent.diagnosis.simulator_file.released_numbers import (
     LINK,
     LOAD,
     OFFSET,
+    OWN_DELAY,
     Group,
     drive_groups,
     gained_load,
@@ -28,6 +29,9 @@ from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import IdentifiedModel
 from agent.robot import ParameterLayout
 from agent.simulators import Correction, PositionServos, Released, Simulator, correct, with_servos
+
+#: Groups of one servo, in a file its actuator.
+_OF_SERVO = (GAIN, OFFSET, OWN_DELAY)
 
 
 def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
@@ -56,7 +60,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
 
     released = Released()
     for group in groups:
-        if group.kind in (GAIN, OFFSET, DELAY, BEND):
+        if group.kind in (*_OF_SERVO, DELAY, BEND):
             continue
         into = {"friction": released.friction, "rotor inertia": released.rotors}
         into |= dict.fromkeys((LINK, LOAD), released.links)
@@ -85,9 +89,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
         held_out_rmse=gap.after * gap.unit,
         weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
     )
-    of_servos = {
-        names[group.joint]: reason(group.text(names)) for group in reversed(groups) if group.kind in (GAIN, OFFSET)
-    }
+    of_servos = {names[group.joint]: reason(group.text(names)) for group in reversed(groups) if group.kind in _OF_SERVO}
     return _with_servos(replace(correction, model=model), diagnosis, change, groups, of_servos)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, OFFSET, groups_of
+from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, OFFSET, OWN_DELAY, delay_of, groups_of
 from agent.diagnosis.sizes import unit_of
 from agent.simulators import Correction
 
@@ -59,7 +59,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
         joint, name = group.joint, robot.joint_names[group.joint]
         own = slice(at, at + group.directions.shape[1])
         at = own.stop
-        if group.kind in (GAIN, OFFSET, DELAY) and (servos := diagnosis.dataset.servos) is not None:
+        if group.kind in (GAIN, OFFSET, DELAY, OWN_DELAY) and (servos := diagnosis.dataset.servos) is not None:
             if group.kind == GAIN:
                 value, size = servos.kp[joint] + change[first + joint], group.scale[0]
                 result.append(_range(f"actuator of {name}", "kp", value, size * deviation[own][0], "N·m/rad"))
@@ -68,8 +68,9 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
                 ends = _ends(value, size * deviation[own][0])
                 result.append(Range(f"actuator of {name}", "offset of set-points", value, *ends, "rad"))
             else:
-                value = servos.file[4].mean() + change[-1]
-                result.append(_range("actuators", "delay", value, servos.delay * deviation[own][0], "s"))
+                value = servos.file[4, joint if joint >= 0 else slice(None)].mean() + delay_of(released, change, group)
+                owner = f"actuator of {name}" if joint >= 0 else "actuators"
+                result.append(_range(owner, "delay", value, servos.delay * deviation[own][0], "s"))
             continue
         unit, way = ("N", "m") if robot.joints[joint].prismatic else ("N·m", "rad")
         if group.kind == "friction":

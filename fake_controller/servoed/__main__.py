@@ -53,8 +53,7 @@ def write(job: Mapping[str, Any]) -> dict[str, Any]:
     (folder / "arm.xml").write_text(file.mjcf(), encoding="utf-8")
     (_lerobot if frames["format"] == "lerobot" else _tables)(folder / "logs", arm, frames["rate"], targets, positions)
     numbers = {name: values.tolist() for name, values in real.numbers.items()}
-    late = sum(effect["parameters"].get("delay", 0.0) for effect in truth["effects"])
-    numbers["delay_s"] = [value + late for value in numbers["delay_s"]]
+    numbers["delay_s"] = (np.array(numbers["delay_s"]) + _late(arm, truth["effects"])).tolist()
     size = None if not truth["effects"] or plain is None else change_over_limit(arm, positions, plain)
     return {"size": size, "numbers": numbers}
 
@@ -78,6 +77,8 @@ def _file_and_arm(arm: DrawnArm, effects: Sequence[Mapping[str, Any]]) -> tuple[
         parameters = effect["parameters"]
         if effect["effect"] == "torque_constant":
             real = with_factor(real, effect["joints"][0], kp=parameters["gain"])
+        elif effect["effect"] == "torque_offset":
+            real = with_factor(real, effect["joints"][0], offset=parameters["set_point_offset"])
         elif effect["effect"] == "friction_change" and parameters["missing"]:
             file = with_factor(file, effect["joints"][0], coulomb=0.0)
         elif effect["effect"] == "friction_change":
@@ -85,19 +86,26 @@ def _file_and_arm(arm: DrawnArm, effects: Sequence[Mapping[str, Any]]) -> tuple[
     return file, real
 
 
+def _late(arm: DrawnArm, effects: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """(n,) [s] by which commands arrive later than the file says, on all joints or on one."""
+    late = np.zeros(len(arm.names))
+    for effect in effects:
+        if effect["effect"] == "time_delay":
+            late[[arm.names.index(name) for name in effect["joints"] or arm.names]] += effect["parameters"]["delay"]
+    return late
+
+
 def _recorded(
     arm: DrawnArm, effects: Sequence[Mapping[str, Any]], targets: list[np.ndarray], recorder: Recorder, seed: int
 ) -> list[np.ndarray]:
     _, real = _file_and_arm(arm, effects)
-    machine, fault = real.machine(), ServoFault()
+    machine, fault, recorder = real.machine(), ServoFault(), replace(recorder, late=_late(arm, effects))
     for effect in effects:
         name, parameters = effect["effect"], effect["parameters"]
-        if name == "time_delay":
-            recorder = replace(recorder, late=parameters["delay"])
-        elif name in SERVO_FAULTS:
+        if name in SERVO_FAULTS:
             of = arm.names.index(effect["joints"][0]) if effect["joints"] else 0
             fault = replace(fault, of=of, **parameters)
-        elif name not in ("torque_constant", "friction_change"):
+        elif name not in ("time_delay", "torque_constant", "torque_offset", "friction_change"):
             load_effect(effect).install(machine)
     return [record(real, machine, rows, recorder, fault, seed + k) for k, rows in enumerate(targets)]
 

@@ -61,7 +61,8 @@ class DrawnArm:
 
     origin (n, 3) of each joint in the link before, axes, mass, centre (n, 3), inertia (n, 3) about it; start and half
     of the range [rad]; armature, coulomb, viscous, kp, kv, limit [N·m], top speed of the motors [rad/s], the `lag` [s]
-    of the current loop, `late` [s] from a command to it, `encoder` step [rad], whether it is `on_link`.
+    of the current loop, `late` [s] from a command to it, `encoder` step [rad], whether it is `on_link`; `offset` (n,)
+    [rad] at which servos stand off their set-points.
     """
 
     kind: ArmKind
@@ -83,6 +84,7 @@ class DrawnArm:
     late: float
     encoder: float
     on_link: bool
+    offset: np.ndarray
 
     @property
     def names(self) -> list[str]:
@@ -103,7 +105,8 @@ class DrawnArm:
         """
         damping = self.kv - self.kp * self.lag + np.array([curve.viscous for curve in self.curves])
         armature, delay = self.armature - self.kv * self.lag, np.full(len(self.kp), self.late + self.lag)
-        return {"kp": self.kp, "damping": damping, "armature": armature, "friction": self.coulomb, "delay_s": delay}
+        numbers = {"kp": self.kp, "damping": damping, "armature": armature, "friction": self.coulomb}
+        return {**numbers, "delay_s": delay, "offset": self.offset}
 
     def mjcf(self) -> str:
         """The file that a user of MuJoCo has of the arm without effects."""
@@ -170,7 +173,7 @@ def draw_arm(seed: int) -> DrawnArm:
     none = np.zeros(n)
     bare = DrawnArm(
         kind, origin, axes, mass, 0.45 * out, inertia, rng.uniform(-0.3, 0.3, n), half, armature, (),
-        none, none, none, none, none, 0.0, 0.0, 0.0, True,
+        none, none, none, none, none, 0.0, 0.0, 0.0, True, none,
     )  # fmt: skip
     robot = _robot(bare)
     dynamics = Dynamics(robot)
@@ -207,12 +210,13 @@ def draw_arm(seed: int) -> DrawnArm:
     )
 
 
-def with_factor(arm: DrawnArm, joint: str, kp: float = 1.0, coulomb: float = 1.0) -> DrawnArm:
-    """The arm with other times the servo gain and Coulomb friction of a joint."""
+def with_factor(arm: DrawnArm, joint: str, kp: float = 1.0, coulomb: float = 1.0, offset: float = 0.0) -> DrawnArm:
+    """The arm with other times the servo gain and Coulomb friction of a joint, and an `offset` [rad] of its servo."""
     k = arm.names.index(joint)
-    curves, gains = list(arm.curves), arm.kp.copy()
+    curves, gains, offsets = list(arm.curves), arm.kp.copy(), arm.offset.copy()
     curves[k], gains[k] = replace(curves[k], coulomb=coulomb * curves[k].coulomb), kp * gains[k]
-    return replace(arm, curves=tuple(curves), kp=gains)
+    offsets[k] += offset
+    return replace(arm, curves=tuple(curves), kp=gains, offset=offsets)
 
 
 def _typical(dynamics: Dynamics, robot: RobotDescription) -> np.ndarray:

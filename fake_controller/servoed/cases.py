@@ -12,10 +12,13 @@ from fake_controller.withheld.cases import deck, kinds_of
 
 SHARES = {"none": 1 / 3, "one": 0.4, "two": 2 / 15, "outside": 2 / 15}
 #: Effects of the catalogue that positions and commands can show.
-EFFECTS = ("time_delay", "friction_change", "backlash", "stribeck", "presliding", "payload", "torque_constant")
+EFFECTS = (
+    "time_delay", "friction_change", "backlash", "stribeck", "presliding", "payload", "torque_constant",
+    "torque_offset",
+)  # fmt: skip
 #: Effects of servos that no catalogue has a name for.
 SERVO_FAULTS = ("integrating_servo", "sagging_supply")
-OF_THE_ARM = ("time_delay", "payload", "sagging_supply")
+OF_THE_ARM = ("payload", "sagging_supply")
 RATES = (30.0, 50.0, 100.0, 200.0)
 MOTIONS = ("planned", "led", "both")
 
@@ -71,6 +74,7 @@ def _drawn(name: str, arm: DrawnArm, rate: float, rng: np.random.Generator) -> d
         "stribeck": {"rise": size * coulomb, "speed": 0.03 + 0.12 * share},
         "presliding": {"share": 0.6 + 0.3 * share, "travel": size * (0.03 if hobby else 0.008)},
         "payload": {"mass": 0.4 * size * lifted, "centre": centre.tolist(), "radius": 0.05 * reach},
+        "torque_offset": {"set_point_offset": sign * size * (0.02 if hobby else 0.005)},
         "torque_constant": {"gain": float(np.exp(sign * (0.2 + 0.4 * share)))},
         "integrating_servo": {"integral": 1.0 + 3.0 * share},
         "sagging_supply": {"sag": 0.6 * size / whole},
@@ -78,5 +82,6 @@ def _drawn(name: str, arm: DrawnArm, rate: float, rng: np.random.Generator) -> d
         "wandering_torque": {"amplitude": size * coulomb, "memory": 0.2 + 1.3 * share, "seed": seed},
         "rubbing_brake": {"drag": 2.0 * size * coulomb, "on": 0.5, "off": 1.5, "seed": seed},
     }
-    joints = [] if name in OF_THE_ARM else [arm.names[k]]
+    of_arm = name in OF_THE_ARM or (name == "time_delay" and other < 0.6)
+    joints = [] if of_arm else [arm.names[k]]
     return {"effect": name, "joints": joints, "parameters": drawn[name]}

@@ -19,14 +19,14 @@ _SETTLING = 1.5  # s at the first set-point before a recording begins
 class Recorder:
     """Loop of `rate` [Hz]: a frame is read and its command sent at once, `jitter` [s] off the stamp.
 
-    A command further than `nearest` [rad] from the position is cut to that, and `late` [s] is added on the way. What is
-    stored is the command as it was wanted.
+    A command further than `nearest` [rad] from the position is cut to that, and `late` [s], of all joints or (n,), is
+    added on the way. What is stored is the command as it was wanted.
     """
 
     rate: float
     jitter: float
     nearest: float
-    late: float
+    late: float | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,9 @@ def record(
     dt, n, drive = 1.0 / rate, len(arm.kp), Drive(machine)
     jitter = rng.normal(0, recorder.jitter, len(set_points)).clip(-0.3 / recorder.rate, 0.3 / recorder.rate)
     frames = np.round((_SETTLING + np.arange(len(set_points)) / recorder.rate + jitter) * rate).astype(int)
-    wait = round((arm.late + recorder.late) * rate)
-    reading, arriving = dict(zip(frames.tolist(), range(len(frames)), strict=True)), dict[int, list[float]]()
+    waits = np.round(np.broadcast_to(arm.late + recorder.late, n) * rate).astype(int).tolist()
+    reading = dict(zip(frames.tolist(), range(len(frames)), strict=True))
+    arriving = [dict[int, float]() for _ in range(n)]
     low, high = arm.start - arm.half, arm.start + arm.half
     dynamics = machine.dynamics()
     accelerate = dynamics.acceleration_function(np.where(drive.rigid, machine.reflected_rotors, 0.0))
@@ -59,7 +60,7 @@ def record(
     gravity = dynamics.inverse_dynamics(q[None], v[None], v[None])[0]
     torque, q = gravity.tolist(), q - gravity / arm.kp
     drive.reset(q.tolist(), torque)
-    command, whole = set_points[0].tolist(), [0.0] * n
+    command, whole, offset = set_points[0].tolist(), [0.0] * n, arm.offset.tolist()
     kept, loads = dt / (dt + arm.lag), list(machine.joint_loads.items())
     gains = list(zip(arm.kp.tolist(), arm.kv.tolist(), arm.limit.tolist(), arm.top_speed.tolist(), strict=True))
     step, positions = arm.encoder, np.empty_like(set_points)
@@ -71,11 +72,12 @@ def record(
         if (frame := reading.get(k)) is not None:
             positions[frame] = counted
             sent = np.clip(set_points[frame], positions[frame] - recorder.nearest, positions[frame] + recorder.nearest)
-            arriving[k + wait] = np.clip(sent, low, high).tolist()
-        command = arriving.pop(k, command)
+            for of_joint, wait, value in zip(arriving, waits, np.clip(sent, low, high).tolist(), strict=True):
+                of_joint[k + wait] = value
+        command = [of_joint.pop(k, before) for of_joint, before in zip(arriving, command, strict=True)]
         weaker = 1.0 / (1.0 + fault.sag * sum(map(abs, torque)))
         for j, (kp, kv, limit, top) in enumerate(gains):
-            error = command[j] - counted[j]
+            error = command[j] + offset[j] - counted[j]
             if fault.integral and j == fault.of:
                 whole[j] += fault.integral * error * dt
             wanted = weaker * kp * (error + whole[j]) - kv * turning[j]

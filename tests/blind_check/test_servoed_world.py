@@ -28,7 +28,7 @@ LATE = [{"effect": "time_delay", "joints": [], "parameters": {"delay": 0.06}}]
 
 @cache
 def cases() -> list[dict[str, Any]]:
-    return draw_cases(90, 3)
+    return draw_cases(90, 4)
 
 
 def small(form: str, **changes: Any) -> dict[str, Any]:
@@ -96,6 +96,26 @@ def test_a_healthy_arm_moves_as_its_file_says_and_a_delayed_one_does_not(runs):
     healthy, late = miss_of_the_file(runs["healthy"]), miss_of_the_file(runs["late"])
     assert healthy < 2e-3
     assert late > 5 * healthy
+
+
+def test_a_servo_stands_off_its_set_points_or_is_late_on_its_joint_alone(tmp_path: Path):
+    effects = [
+        {"effect": "torque_offset", "joints": ["joint_1"], "parameters": {"set_point_offset": 0.05}},
+        {"effect": "time_delay", "joints": ["joint_3"], "parameters": {"delay": 0.1}},
+    ]
+    plain, both = (
+        write({"truth": small("csv", effects=some), "folder": tmp_path / name, "seconds": 9.0})
+        for name, some in (("plain", []), ("both", effects))
+    )
+    assert plain["numbers"]["offset"] == [0.0] * 3
+    assert both["numbers"]["offset"] == [0.05, 0.0, 0.0]
+    assert np.subtract(both["numbers"]["delay_s"], plain["numbers"]["delay_s"]).tolist() == pytest.approx([0, 0, 0.1])
+    before, after = logs_in(tmp_path / "plain")[0], logs_in(tmp_path / "both")[0]
+    off = np.median(after.position - before.position, axis=0)
+    assert off[0] == pytest.approx(0.05, abs=0.01)
+    change = np.sqrt(np.mean((after.position - before.position - off) ** 2, axis=0))
+    assert change[2] > 5 * change[1]
+    assert (tmp_path / "plain" / "arm.xml").read_bytes() == (tmp_path / "both" / "arm.xml").read_bytes()
 
 
 def test_an_export_holds_no_truth_is_drawn_again_by_its_key_and_its_numbers_are_scored(tmp_path: Path):

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from agent.cli.app import app
 from agent.core import InputError
-from agent.diagnosis import corrected_numbers, diagnose
+from agent.diagnosis import corrected_numbers, diagnose, ranges
 from agent.diagnosis.position_logs.recording import stretches_of
 from agent.model import NominalModel
 from agent.recording import HOLD, Log, write_log
@@ -41,8 +41,11 @@ def recorded(
     bend: float = 0.0,
     seconds: float = 4.0,
     offset: float = 0.0,
+    later: float = 0.0,
 ) -> Log:
     """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos.
+
+    The command reaches the elbow `later` [s] than the other joint.
 
     The command moves on after every `rest` [s] and is cut to within `nearest` of the positions; `impedance` is that of
     friction. Damping d is d + `bend` |v|. The servo of the elbow stands `offset` [rad] off its set-points.
@@ -65,7 +68,8 @@ def recorded(
             sent[k] = np.clip(r[k], q[k] - nearest, q[k] + nearest)
         for part in range(each):
             now = max(k, 0) / RATE + (part + 0.5) * STEP * (k >= 0) - late
-            data.ctrl[:] = sent[min(max(int(now * RATE), 0), len(r) - 1)]
+            for j, at in enumerate((now, now - later)):
+                data.ctrl[j] = sent[min(max(int(at * RATE), 0), len(r) - 1), j]
             mujoco.mj_step(model, data)
     q = np.round(q / 0.0015) * 0.0015
     metadata = {"robot": "x", HOLD: "held"}
@@ -108,6 +112,28 @@ def test_a_wrong_gain_and_a_delay_are_found_and_the_file_follows_the_arm(source,
     assert error_of(out, recorded(source, 3, late=0.06, gain=0.7)) < 2e-3
     assert not any("lets a stationary joint creep" in warning for warning in found.warnings)
     assert (mujoco.MjModel.from_xml_path(str(out)).dof_solimp[:, 0] < 0.999).all(), "friction is as soft as the file's"
+
+
+def test_a_servo_that_is_later_than_the_other_one_is_named_and_written_and_read_again(source, tmp_path):
+    logs = [recorded(source, k, late=0.02, later=0.03) for k in (1, 2)]
+    simulator, found = found_in(source, logs)
+    result = found.result
+    delays = {tuple(c["joints"]): c["parameters"]["delay"] for c in result["causes"] if c["effect"] == "time_delay"}
+    assert len(delays) == 2, "that of the arm, and of a joint that differs"
+    by_joint = [delays.get((name,), delays[()]) for name in ("lift", "elbow")]
+    np.testing.assert_allclose(by_joint, (0.02, 0.05), atol=3e-3)
+    for (value, low, high), true in zip(result["servo"]["delay_s"], (0.02, 0.05), strict=True):
+        assert low <= true <= high < true + 0.02
+        assert value == pytest.approx(true, abs=3e-3)
+    out, held_out = tmp_path / "fixed.xml", recorded(source, 3, late=0.02, later=0.03)
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
+    assert error_of(out, held_out) < 2e-3 < 0.1 * error_of(source, held_out)
+    again = load_simulator(out, None, logs[0].joint_names, None).arm
+    np.testing.assert_allclose(again.servos.delay, (0.02, 0.05), atol=3e-3)
+    drawn = ranges(found, corrected_numbers(found, simulator))
+    named = {entry.of: entry.value for entry in drawn if entry.parameter == "delay"}
+    both = [named.get(f"actuator of {name}", named["actuators"]) for name in ("lift", "elbow")]
+    np.testing.assert_allclose(both, (0.02, 0.05), atol=3e-3)
 
 
 def test_a_servo_that_stands_off_its_set_points_is_found_and_written_as_a_bias(source, tmp_path):

@@ -276,6 +276,18 @@ def test_isaac_lab_gets_fields_that_its_version_has_and_the_delay_in_physics_ste
     assert not any("explicit servo" in text for text in said)
 
 
+def test_isaac_lab_gets_a_group_of_actuators_for_each_delay(numbers, tmp_path):
+    slow, quick = numbers.joints
+    both = replace(numbers, joints=(slow, replace(quick, delay=0.02)))
+    path = exported(both, "isaaclab", tmp_path)[0]["isaaclab_3_0.py"]
+    fake = "class DelayedPDActuatorCfg(dict): pass"
+    text = path.read_text(encoding="utf-8").replace("from isaaclab.actuators import DelayedPDActuatorCfg", fake)
+    groups = runpy.run_path(str(written(tmp_path, text, "run_groups.py")))["ACTUATORS"].values()
+    told = {tuple(group["joint_names_expr"]): group["min_delay"] for group in groups}
+    assert told == {("pan",): round(LATE / 0.002), ("slide",): 10}
+    assert all(list(group["armature"]) == group["joint_names_expr"] for group in groups)
+
+
 def test_gains_that_an_explicit_servo_cannot_have_are_said(numbers, tmp_path):
     _, said = exported(replace(numbers, step=0.1), "isaaclab", tmp_path)
     (slide, *_) = [text for text in said if text.startswith("slide: at a physics step of 100 ms")]

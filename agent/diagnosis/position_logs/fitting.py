@@ -41,11 +41,13 @@ _DELAY, _OFFSET = KINDS.index("delay"), KINDS.index("offset")
 class Parameters:
     """Which of the 6 n numbers, the cut of commands and 4 numbers of a load are free, and which move together.
 
-    `basis` (6 n + 5, p) of their change, `scale` (6 n + 5,) how far each may usually move.
+    `basis` (6 n + 5, p) of their change, `scale` (6 n + 5,) how far each may usually move; `one_delay` of the arm, or
+    one of each joint.
     """
 
     basis: np.ndarray
     scale: np.ndarray
+    one_delay: bool
 
     @classmethod
     def create(
@@ -63,7 +65,7 @@ class Parameters:
         columns.append(eye[:, kinds * n : kinds * n + 1])
         if load:
             columns.append(eye[:, kinds * n + 1 :])
-        return cls(np.hstack(columns), scale)
+        return cls(np.hstack(columns), scale, one_delay)
 
 
 @dataclass(frozen=True, eq=False)

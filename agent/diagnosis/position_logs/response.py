@@ -59,8 +59,9 @@ class LinearResponse:
         return cls(motion.time, mass, np.where(motion.stuck, 0.0, damping), stiffness, at_once, signals.kept)
 
     @cached_property
-    def _steps(self) -> tuple[np.ndarray, np.ndarray]:
-        """A (S - 1, 2n, 2n) of [δq, δq̇] from a time to the next, and B (S - 1, 2n, n) of the torque in between."""
+    def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """δq̇ at the next time by [δq, δq̇] at one (S - 1, n, 2n) and by the torque between (S - 1, n, n), and half of
+        the time between (S - 1,)."""
         h = np.diff(self.time)[:, None, None]
         n = self.damping.shape[1]
         eye = np.eye(n)
@@ -71,12 +72,7 @@ class LinearResponse:
         inverse = np.linalg.inv(mass + after + half**2 * slope)
         from_q, push = -inverse @ (h * slope), -inverse * h
         from_qd = inverse @ (mass - before - half**2 * slope)
-        size = 2 * n
-        a, b = np.empty((len(h), size, size)), np.empty((len(h), size, n))
-        a[:, n:, :n], a[:, n:, n:], b[:, n:] = from_q, from_qd, push
-        a[:, :n, :n], a[:, :n, n:] = eye + half * from_q, half * (eye + from_qd)
-        b[:, :n] = half * push
-        return a, b
+        return np.concatenate([from_q, from_qd], axis=2), push, half.ravel()
 
     def of_torque(self, columns: Mapping[int, np.ndarray]) -> np.ndarray:
         """(S', n, K) positions for torque columns (S, K) by joint, the same K for each joint."""
@@ -90,9 +86,9 @@ class LinearResponse:
     def _stepped(self, columns: Mapping[int, np.ndarray]) -> np.ndarray:
         from agent.compiled import stepped
 
-        a, b = self._steps
+        system, by_torque, half = self._steps
         push = np.stack([(block[1:] + block[:-1]) / 2 for block in columns.values()], axis=1).astype(float, order="C")
         kept = range(len(self.time))[self.kept]
-        entry = np.ascontiguousarray(b[:, :, list(columns)])
-        answers = stepped(a, entry, push, kept.start, kept.step, self.damping.shape[1])
+        entry = np.ascontiguousarray(by_torque[:, :, list(columns)])
+        answers = stepped(system, entry, half, push, kept.start, kept.step)
         return np.asarray(answers[: len(kept)])

@@ -122,6 +122,7 @@ def assemble_positions(
         found.rmse,
         cut=lag if found.stretches[0].nearest < np.inf else 0.0,
         step=simulator.step,
+        one_delay=found.parameters.one_delay,
     )
     return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
 

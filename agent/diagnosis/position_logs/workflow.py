@@ -127,11 +127,10 @@ def _fitted(
     rough = Parameters.create(scale, fixed=("kp", "offset"))
     fine = rough if known_kp else Parameters.create(scale, fixed=("offset",))
 
-    def fitted(arm: FreeSimulator, start: ServoNumbers = file) -> OutputErrorFit:
-        begin = fit_output_error(arm, reference, stretches, file, start, rough, progress, _ROUGH).numbers
-        fit = fit_output_error(arm, reference, stretches, file, begin, fine, progress)
-        failed = start is file and error_of(arm, by_equation, stretches) < error_of(arm, fit.numbers, stretches)
-        return fitted(arm, by_equation) if failed else fit
+    def fitted(arm: FreeSimulator) -> OutputErrorFit:
+        begin = fit_output_error(arm, reference, stretches, file, file, rough, progress, _ROUGH).numbers
+        begin = min((begin, by_equation), key=lambda numbers: error_of(arm, numbers, stretches))
+        return fit_output_error(arm, reference, stretches, file, begin, fine, progress)
 
     soft, firm = fitted(free), fitted(free.holding())
     bare = firm if _gains(soft, firm).sum() > chance else soft
@@ -142,6 +141,8 @@ def _fitted(
             continue
         cut = [stretch.cut(narrower) for stretch in stretches]
         again = fit_output_error(bare.simulator, reference, cut, file, numbers, fine, progress)
+        if _gains(bare, again).sum() <= chance:
+            continue
         loaded = _simplest(again, reference, progress, known_kp)
         cuts = loaded.stretches[0].nearest >= _nearest_cut(stretches)
         if cuts and _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
@@ -169,26 +170,32 @@ def _simplest(
     """The fit that what follows is linear about: one with gains, or with a load at the last link and gains as they are.
 
     Gains, friction and rotors of all joints together imitate a load, and it them. So each is tried by itself. The other
-    one, and an offset of each servo, follow one by one where they do better than chance, what does best first.
+    one, an offset of each servo, and a delay of each joint in place of the arm's follow one by one where they do better
+    than chance, what does best first.
     """
     stretches, file = fit.stretches, fit.simulator.numbers
     scale, n = usual_scale(reference, fit.numbers, stretches), len(file.kp)
-    count = {"kp": n, "load": len(LOAD_NUMBERS), "offset": n}
+    count = {"kp": n, "load": len(LOAD_NUMBERS), "offset": n} | ({"delay": n - 1} if n > 1 else {})
 
     def fitted(start: OutputErrorFit, numbers: ServoNumbers, free: Sequence[str], **how: float) -> OutputErrorFit:
-        parameters = Parameters.create(scale, [kind for kind in count if kind not in free], load="load" in free)
+        fixed = [kind for kind in ("kp", "offset") if kind not in free]
+        parameters = Parameters.create(scale, fixed, "delay" not in free, "load" in free)
         return fit_output_error(
             fit.simulator, reference, stretches, file, numbers, parameters, progress, load=start.load, **how
         )
 
-    loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ["load"])
+    loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ["load"], gained=_ROUGH)
+    if np.mean(np.log(loaded.rmse / fit.rmse)) < np.log(LIMITS.usual_error):
+        loaded = fitted(loaded, loaded.numbers, ["load"])
     carries = bool(_gains(fit, loaded).sum() > (_by_chance(len(LOAD_NUMBERS)) if known_kp else 0.0))
-    best, free = (loaded, ["load"]) if carries else (fit, ["kp"])
-    further = ["offset"] if known_kp else [kind for kind in count if kind not in free]
+    best, free = (loaded, ["load"]) if carries else (fit, [] if known_kp else ["kp"])
+    further = [kind for kind in count if kind not in free and not (known_kp and kind == "kp")]
     while further:
         tried = {kind: fitted(best, best.numbers, [*free, kind], gained=_ROUGH) for kind in further}
-        beyond = {kind: _gains(best, other).sum() - _by_chance(count[kind]) for kind, other in tried.items()}
-        kind = max(further, key=lambda each: float(beyond[each]))
+        beyond = {kind: float(_gains(best, other).sum()) - _by_chance(count[kind]) for kind, other in tried.items()}
+        if "delay" in tried and np.ptp(tried["delay"].numbers.delay) <= fit.simulator.step:
+            beyond["delay"] = -np.inf  # a simulation in such steps does not tell
+        kind = max(beyond, key=lambda each: beyond[each])
         if beyond[kind] <= 0:
             break
         free = [*free, kind]
@@ -211,8 +218,12 @@ def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[Com
         return sum(np.inf if m is None else float(np.sum((missed(s, m) / fit.sigma) ** 2)) for s, m in pairs)
 
     narrower = widest_lag(stretches) * _NARROWER ** np.arange(1, _CUTS)
-    tried = [np.inf, *narrower[narrower >= _nearest_cut(stretches)]]
-    return float(tried[int(np.argmin([error(nearest) for nearest in tried]))])
+    best, least = np.inf, error(np.inf)
+    for nearest in narrower[narrower >= _nearest_cut(stretches)].tolist():
+        if (now := error(nearest)) > LIMITS.alike**2 * least:  # the error falls towards a cut, and rises beyond it
+            break
+        best, least = (nearest, now) if now < least else (best, least)
+    return best
 
 
 def _nearest_cut(stretches: Sequence[CommandedStretch]) -> float:

@@ -47,7 +47,8 @@ class ServoParameters:
     0 where they were not. `load` (10, 4): what the last link gains by a usual mass and usual first moments of a load
     there.
     `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
-    [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `simulated` is the arm whose motion was compared.
+    [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `simulated` is the arm whose motion was compared;
+    `one_delay`: all joints have that of the arm.
     """
 
     covariance: np.ndarray
@@ -66,6 +67,7 @@ class ServoParameters:
     kp_known: bool = False
     later: float = 0.0
     step: float = 0.0
+    one_delay: bool = True
 
     def gains(self, change: np.ndarray) -> np.ndarray:
         """(n,) kp [N·m/rad] of the file moved by a change (p,) of all parameters."""

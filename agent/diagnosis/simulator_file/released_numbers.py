@@ -35,6 +35,8 @@ _HELD = 1e-6  # of the stored covariance: the model's parameters stay where they
 REMAINDER = "remainder"
 #: Kinds of groups of servos.
 GAIN, BEND, OFFSET, DELAY = "servo gain", "bend of damping", "offset of set-points", "delay of the command"
+#: How much more than that of the arm.
+OWN_DELAY = "own delay"
 OWN_PARAMETERS = "the model's own parameters"
 #: Kinds of groups of links: ten numbers of one, or the mass and first moments of a load at the last.
 LINK, LOAD = "link inertia", "load"
@@ -251,11 +253,13 @@ def _of_servos(dataset: Dataset) -> list[Group]:
     late = np.zeros((len(servos.covariance), 2 if servos.cut else 1))
     late[-n:, 0] = servos.delay
     late[first + n, 1:] = servos.cut
-    free = () if servos.kp_known else range(n)
+    free, size = () if servos.kp_known else range(n), np.array([servos.delay])
+    own = servos.delay * np.eye(len(late))[-n:, :, None]
     return [
         *(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free),
         *_offsets(dataset),
         Group(DELAY, -1, late, np.ones(late.shape[1])),
+        *(Group(OWN_DELAY, j, own[j], size) for j in (() if servos.one_delay else range(n))),
     ]
 
 
@@ -403,6 +407,14 @@ def _load(released: ReleasedSimulator, group: Group) -> dict[str, float]:
     prior_std = given.fit.reference.prior_std[ParameterLayout.of(given.robot).link(group.joint)]
     gained = coefficients[:10] * prior_std
     return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}
+
+
+def delay_of(released: ReleasedSimulator, change: np.ndarray, group: Group) -> float:
+    """The delay [s] of the joint of a group, by which a change (p,) differs from the file, or that of the arm."""
+    late = change[-len(released.given.fit.rows) :]
+    own = [other.joint for other in released.groups if other.kind == OWN_DELAY]
+    of_arm = np.setdiff1d(np.arange(len(late)), own)
+    return float(late[group.joint] if group.joint >= 0 else late[of_arm].mean() if len(of_arm) else late.mean())
 
 
 def gained_load(released: ReleasedSimulator) -> np.ndarray:
@@ -554,11 +566,9 @@ def causes_of_numbers(
             alike = _like_offset(released, selected.causes, group, gap)
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(_NAMES[OFFSET], joint, closes(group), probability, parameters, alike, own_part))
-        elif group.kind == DELAY:
-            own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(
-                Cause(_NAMES[DELAY], (), closes(group), probability, {"delay": float(change[-1])}, (), own_part)
-            )
+        elif group.kind in (DELAY, OWN_DELAY):
+            own_part, delay = _on_joint(released, group, selected.causes, gap), delay_of(released, change, group)
+            causes.append(Cause(_NAMES[DELAY], joint, closes(group), probability, {"delay": delay}, (), own_part))
         else:
             bodies.append(group)
     if bodies:

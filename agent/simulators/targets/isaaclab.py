@@ -21,8 +21,7 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
 
 
 def _actuators(numbers: ArmNumbers, step: float, version: str, names: Mapping[str, str]) -> str:
-    delays = {joint.delay for joint in numbers.joints}
-    late = max(delays)
+    late = max(joint.delay for joint in numbers.joints)
     tables: dict[str, tuple[Any, str]] = {
         "PHYSICS_DT": (step, "s, your sim.dt, not the control step: the delay is counted in it"),
         "STIFFNESS": (numbers.table("kp"), "kp, N·m/rad; None keeps the USD's"),
@@ -40,15 +39,15 @@ def _actuators(numbers: ArmNumbers, step: float, version: str, names: Mapping[st
         "VISCOUS": (numbers.table("damping"), "N·m·s/rad"),
     }
     fields = {
-        "joint_names_expr": "list(ARMATURE)",
-        "stiffness": "_known(STIFFNESS)",
-        "damping": "_known(DAMPING)",
-        names["effort"]: "_limits(EFFORT)",
-        names["velocity"]: "_limits(VELOCITY)",
-        "armature": "ARMATURE",
-        "friction": "FRICTION",
-        "dynamic_friction": "FRICTION",
-        "viscous_friction": "VISCOUS",
+        "joint_names_expr": "joints",
+        "stiffness": "_known(of(STIFFNESS))",
+        "damping": "_known(of(DAMPING))",
+        names["effort"]: "_limits(of(EFFORT))",
+        names["velocity"]: "_limits(of(VELOCITY))",
+        "armature": "of(ARMATURE)",
+        "friction": "of(FRICTION)",
+        "dynamic_friction": "of(FRICTION)",
+        "viscous_friction": "of(VISCOUS)",
     }
     kind = "ImplicitActuatorCfg"
     if late > 0:
@@ -57,14 +56,13 @@ def _actuators(numbers: ArmNumbers, step: float, version: str, names: Mapping[st
             numbers.table("delay"),
             "s, from the command to the servo. Half a frame of a held command is not in it: the simulator holds it too",
         )
-        fields |= {"min_delay": "_STEPS", "max_delay": "_STEPS"}
-        fields[names["explicit_effort"]] = "_limits(EFFORT)"
+        fields |= {"min_delay": "steps", "max_delay": "steps"}
+        fields[names["explicit_effort"]] = "_limits(of(EFFORT))"
     listed = "\n".join(f"        {field}={value}," for field, value in fields.items())
-    steps = "_STEPS = round(max(DELAY.values()) / PHYSICS_DT)  # one for the whole group\n" if late > 0 else ""
+    steps = "round(DELAY[name] / PHYSICS_DT)" if late > 0 else "0"
     code = f"""
 from isaaclab.actuators import {kind}
 
-{steps}
 
 def _known(table):
     return table if all(value is not None for value in table.values()) else None
@@ -75,10 +73,22 @@ def _limits(table):
     return None if none else {{name: 1e9 if value is None else value for name, value in table.items()}}
 
 
-ACTUATORS = {{
-    "arm": {kind}(
+def _group(joints, steps):
+    def of(table):
+        return {{name: table[name] for name in joints}}
+
+    return {kind}(
 {listed}
-    ),
+    )
+
+
+# one delay is drawn for a group, so joints of one delay are one group
+_STEPS = {{name: {steps} for name in ARMATURE}}
+ACTUATORS = {{
+    "arm" if len(set(_STEPS.values())) == 1 else f"arm_late_by_{{steps}}_steps": _group(
+        [name for name in _STEPS if _STEPS[name] == steps], steps
+    )
+    for steps in sorted(set(_STEPS.values()))
 }}
 """
     says = f"Actuators of {numbers.name} for Isaac Lab {version}: ArticulationCfg(actuators=ACTUATORS)."
