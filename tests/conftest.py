@@ -65,6 +65,9 @@ SHARED = ROOT / "../shared/data"
 def pytest_configure(config: pytest.Config) -> None:
     """All processes of a run start programs from one that has imported them."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        if not list((ROOT / "tests" / "__pycache__").glob("test_house.*-pytest-*.pyc")):
+            # In a fresh clone every worker would compile all tests and all inner loops for itself.
+            subprocess.run([sys.executable, "-m", "pytest", "--collect-only"], cwd=ROOT, stdout=subprocess.DEVNULL)
         shared = contextlib.ExitStack()
         shared.enter_context(shared_nursery())
         config.add_cleanup(shared.close)

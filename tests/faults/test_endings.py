@@ -87,15 +87,13 @@ def on_terminal(tmp_path: Path) -> Iterator[Callable[..., Terminal]]:
 
 
 @pytest.fixture
-def on_pipes(bench, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen]]:
+def on_pipes(bench, tmp_path: Path) -> Iterator[Callable[..., WarmProcess]]:
     """Starts `agent record …` off a terminal."""
-    made: list[subprocess.Popen] = []
+    made: list[WarmProcess] = []
 
-    def start(*options: str, preexec_fn: Callable[[], None] = end_with_tests, **pipes: int) -> subprocess.Popen:
-        command = [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log]
-        quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL) | pipes
-        more = {"cwd": tmp_path, "env": environment(), "preexec_fn": preexec_fn}
-        made.append(subprocess.Popen([*command, *options], **quiet, **more))
+    def start(*options: str, output: int) -> WarmProcess:
+        words = ("record", bench.recipe, "--program", bench.program, "-o", bench.log, *options)
+        made.append(WarmProcess("agent", *words, cwd=tmp_path, stdout=output, stderr=output))
         return made[-1]
 
     yield start
@@ -122,7 +120,7 @@ def moving(request, bench, controller, on_terminal):
     return controller, terminal
 
 
-def _wait_for(controller: Controller, recorded: int, process: subprocess.Popen | None = None) -> None:
+def _wait_for(controller: Controller, recorded: int, process: subprocess.Popen | WarmProcess | None = None) -> None:
     while controller.recorded < recorded:
         assert process is None or process.poll() is None
         time.sleep(0.001)
@@ -157,7 +155,7 @@ def test_a_pipe_that_nobody_reads_delays_no_stop(bench, controller, on_pipes, as
         while True:
             os.write(write, b"x" * 1024)
     os.set_blocking(write, True)
-    process = on_pipes("-v", stderr=write)
+    process = on_pipes("-v", output=write)
     _wait_for(controller, 500, process)
     controller.state.override = 0.5
     assert process.wait(60) == 5
@@ -225,7 +223,7 @@ def test_a_terminal_that_is_closed_ends_in_a_stop(bench, moving, assert_at_rest)
 def test_a_session_without_a_terminal_that_drops_ends_in_a_stop(controller, on_pipes, assert_at_rest):
     """`ssh host agent record …` has pipes; nothing but their far end tells that it is gone, and `-q` writes nothing."""
     read, write = os.pipe()
-    process = on_pipes("-q", stdout=write, stderr=write)
+    process = on_pipes("-q", output=write)
     os.close(write)
     _wait_for(controller, 500 + MOMENT, process)
     os.close(read)
@@ -244,7 +242,7 @@ def test_a_second_signal_does_not_cut_the_stop_short(bench, moving, assert_at_re
     assert_at_rest(controller, 1)
 
 
-def test_nohup_survives_a_hang_up(bench, controller, on_pipes, assert_at_rest):
+def test_nohup_survives_a_hang_up(bench, controller, tmp_path: Path):
     """`nohup agent …`"""
     bench.program.write_text(LONG.replace("200", "1"), encoding="utf-8")
 
@@ -252,10 +250,12 @@ def test_nohup_survives_a_hang_up(bench, controller, on_pipes, assert_at_rest):
         end_with_tests()
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
-    process = on_pipes(preexec_fn=deaf)
-    _wait_for(controller, 100, process)
-    process.send_signal(signal.SIGHUP)
-    assert process.wait(60) == 0
+    command = [sys.executable, "-m", "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log]
+    quiet = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    with subprocess.Popen(command, cwd=tmp_path, env=environment(), preexec_fn=deaf, **quiet) as process:
+        _wait_for(controller, 100, process)
+        process.send_signal(signal.SIGHUP)
+        assert process.wait(60) == 0
     assert [end.name for end in controller.ends] == ["DONE"]
 
 
@@ -365,7 +365,7 @@ def _leave_no_descriptors(process: int) -> None:
     resource.prlimit(process, resource.RLIMIT_NOFILE, (min(set(range(len(used) + 1)) - used), most))
 
 
-@pytest.mark.parametrize(("number", "code"), [(None, 0), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [pytest.param(None, 0, marks=pytest.mark.verify), (signal.SIGTERM, 143)])
 def test_a_motion_ends_normally_without_free_file_descriptors(bench, on_terminal, assert_at_rest, number, code: int):
     controller = bench.serve(clock="real")
     if number is not None:

@@ -3,10 +3,7 @@
 import json
 import resource
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -18,26 +15,7 @@ from drivers.errors import DriverError
 from drivers.registry import create
 from fake_controller.scenario import FOLDER
 from tests import warm
-from tests.conftest import end_with_tests, environment
 from tests.faults.conftest import LONG
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts `python -m …` in the test's folder."""
-    running = []
-
-    def begin(*arguments: object, **options: object) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", *map(str, arguments)]
-        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        ending = {"preexec_fn": end_with_tests, **options}
-        running.append(subprocess.Popen(command, cwd=tmp_path, env=environment(), text=True, **pipes, **ending))
-        return running[-1]
-
-    yield begin
-    for process in running:
-        process.kill()
-        process.communicate()
 
 
 def until_it_moves(agent: warm.PipedProcess) -> None:
@@ -58,21 +36,11 @@ def until_it_rests(wire: str, address: str) -> None:
         assert time.monotonic() < until, "the arm still moves"
 
 
-def limit_files(size: int) -> Callable[[], None]:
-    """To run in a child: no file grows beyond `size`, as on a full disk."""
-
-    def limit() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
-
-    return limit
-
-
 BY_HAND = ["tcp", pytest.param("modbus", marks=pytest.mark.verify)]
 
 
 @pytest.mark.parametrize("wire", BY_HAND)
-def test_the_emulator_runs_a_scenario(bench, start, tmp_path: Path, arm: str, wire):
+def test_the_emulator_runs_a_scenario(bench, tmp_path: Path, arm: str, wire):
     """`agent emulator --scenario` on a wire: it says what it is, and at its end what was done with it."""
     scenario = tmp_path / "s.yaml"
     scenario.write_text(
@@ -80,16 +48,17 @@ def test_the_emulator_runs_a_scenario(bench, start, tmp_path: Path, arm: str, wi
         "expect: {exit_code: 4}\n",
         encoding="utf-8",
     )
-    fake = start("agent", "emulator", "--scenario", scenario, "--driver", wire, "--port", "0")
-    greeting = fake.stdout.readline()
-    assert greeting.startswith("fake controller: small_arm at ")
-    address = greeting.split(" at ")[1].split(", clock")[0]
-    bench.write_for(wire, address)
-    ended = bench.record()
-    assert ended.code == 4, ended.errors
-    until_it_rests(wire, address)
-    fake.send_signal(signal.SIGTERM)
-    said, errors = fake.communicate(timeout=60)
+    words = ("emulator", "--scenario", scenario, "--driver", wire, "--port", "0")
+    with warm.PipedProcess("agent", *words, cwd=tmp_path) as fake:
+        greeting = fake.stdout.readline()
+        assert greeting.startswith("fake controller: small_arm at ")
+        address = greeting.split(" at ")[1].split(", clock")[0]
+        bench.write_for(wire, address)
+        ended = bench.record()
+        assert ended.code == 4, ended.errors
+        until_it_rests(wire, address)
+        fake.send_signal(signal.SIGTERM)
+        said, errors = fake.communicate()
     assert fake.returncode == 0
     assert "scenario" in errors
     assert "pulled" in errors
@@ -114,13 +83,14 @@ def test_the_emulator_takes_effects_from_a_file(start_controller, tmp_path: Path
     assert "a list of effects is expected" in wrong.stderr
 
 
-def test_a_full_disk_stops_the_arm(bench, start, assert_at_rest, assert_readable):
+def test_a_full_disk_stops_the_arm(bench, tmp_path: Path, assert_at_rest, assert_readable):
+    """No file grows beyond 100 kB."""
     controller = bench.serve()
     bench.program.write_text(LONG, encoding="utf-8")
-    agent = start(
-        "agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log, preexec_fn=limit_files(100_000)
-    )
-    _, errors = agent.communicate(timeout=120)
+    record = ("agent", "record", bench.recipe, "--program", bench.program, "-o", bench.log)
+    with warm.PipedProcess(*record, cwd=tmp_path) as agent:
+        resource.prlimit(agent.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+        _, errors = agent.communicate()
     assert agent.returncode == 1, errors
     assert "Traceback" not in errors
     assert str(bench.log) in errors

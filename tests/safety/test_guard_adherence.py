@@ -113,7 +113,7 @@ def slow_move(away, seconds=15.0):
     return replace(standstill_plan(HOME), t=t, q=q, qd=np.gradient(q, t, axis=0), move=0 * t.astype(int))
 
 
-@pytest.mark.parametrize("away", [0.3, 0.6, 1.2])
+@pytest.mark.parametrize("away", [0.3, *(pytest.param(way, marks=pytest.mark.verify) for way in (0.6, 1.2))])
 @pytest.mark.parametrize("rest", [0.0, 1.0])
 def test_what_is_too_slow_to_be_seen_takes_no_time_that_is_missed(swing, away, rest):
     """Without set-points, the ends of a slow move look like a rest; the next move begins on time nevertheless."""
