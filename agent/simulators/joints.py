@@ -16,6 +16,10 @@ from agent.robot import is_gripper
 
 #: Similarity from which two names may mean one joint.
 _ALIKE = 0.6
+#: Joints of every branch of a file, base to tip.
+Branches = Callable[[], list[list[str]]]
+#: (joints of a file, its branches) → their names in the arm; joints without one are left out.
+Match = Callable[[Sequence[str], Branches], Mapping[str, str]]
 
 
 class JointMap(BaseModel):

@@ -13,9 +13,9 @@ from agent.model import IdentifiedModel
 from agent.recording import joint_pairs, named_joints, prefixed
 from agent.robot import RobotDescription, is_gripper, parse_robot_file
 from agent.simulators.arm import SimulatedArm, described, model_of
-from agent.simulators.joints import matched
-from agent.simulators.mjcf import branches_of, longest_branch, read_mjcf
-from agent.simulators.urdf import chains_of, longest_chain, read_urdf
+from agent.simulators.joints import Branches, Match, matched
+from agent.simulators.mjcf import read_mjcf
+from agent.simulators.urdf import read_urdf
 
 _GRAVITY = (0.0, 0.0, -9.80665)
 _MOST_JOINTS = 7
@@ -60,10 +60,10 @@ def load_simulator(
     wanted = tuple(log_joints) if robot is None else robot.joint_names
     owner, gravity = ("the logs", _GRAVITY) if robot is None else (f"robot {robot.name}", robot.gravity)
 
-    def match(in_file: Sequence[str]) -> dict[str, str]:
-        matches = matched(path, in_file, wanted, owner, names, lambda: _arms(path, root, lambda name: True))
+    def match(in_file: Sequence[str], branches: Branches) -> dict[str, str]:
+        matches = matched(path, in_file, wanted, owner, names, lambda: _arms(branches, lambda name: True))
         chosen = {name for name, called in (names or {}).items() if called is not None}
-        arms = [arm for arm in _arms(path, root, lambda name: name in matches) if chosen <= {*arm}] if chosen else []
+        arms = [arm for arm in _arms(branches, lambda name: name in matches) if chosen <= {*arm}] if chosen else []
         return {name: matches[name] for name in in_file if name in arms[0]} if arms else matches
 
     arm = _arm(path, root, match, gravity)
@@ -96,11 +96,11 @@ def load_arm_of(path: Path, columns: Sequence[str]) -> RobotDescription:
     """
     root = _content(path)[1]
 
-    def match(in_file: Sequence[str]) -> dict[str, str]:
+    def match(in_file: Sequence[str], branches: Branches) -> dict[str, str]:
         named = named_joints(columns, in_file)
         if named is not None:
             return {name: name for name in in_file if name in named}
-        arms = _arms(path, root, lambda name: not is_gripper(name))
+        arms = _arms(branches, lambda name: not is_gripper(name))
         fitting = [arm for arm in arms if len(arm) == len(columns)]
         if len(fitting) == 1:
             return {name: name for name in fitting[0]}
@@ -129,15 +129,15 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
     """
     root = _content(path)[1]
 
-    def match(in_file: Sequence[str]) -> dict[str, str]:
+    def match(in_file: Sequence[str], branches: Branches) -> dict[str, str]:
         if log_joints:
             pairs = joint_pairs(in_file, log_joints) or prefixed(in_file, log_joints)
             chain = {name: pairs[name] for name in in_file if name in pairs}
-            if len(arms := _arms(path, root, lambda name: name in chain)) > 1:
+            if len(arms := _arms(branches, lambda name: name in chain)) > 1:
                 listed = "; ".join(", ".join(arm) for arm in arms)
                 raise InputError(f"{path}: the log has joints of several of its arms ({listed}): {_ONE_ARM}")
         else:
-            chain = {name: name for name in (longest_chain(root) if root.tag == "robot" else longest_branch(path))}
+            chain = {name: name for name in max(branches(), key=len, default=[])}
         if not chain:
             listed = f"; those of the log are {', '.join(log_joints)}" if log_joints else ""
             raise InputError(
@@ -148,11 +148,10 @@ def load_arm(path: Path, log_joints: Sequence[str] = (), most: int = _MOST_JOINT
     return described(_arm(path, root, match, _GRAVITY), None)[0]
 
 
-def _arms(path: Path, root: Element, takes: Callable[[str], bool]) -> list[tuple[str, ...]]:
+def _arms(branches: Branches, takes: Callable[[str], bool]) -> list[tuple[str, ...]]:
     """Joints of the branches that it takes, base to tip, without branches that are part of another."""
-    chains = chains_of(root) if root.tag == "robot" else branches_of(path)
-    branches = {tuple(name for name in chain if takes(name)): None for chain in chains}
-    return [arm for arm in branches if arm and not any(set(arm) < set(other) for other in branches)]
+    arms = {tuple(name for name in branch if takes(name)): None for branch in branches()}
+    return [arm for arm in arms if arm and not any(set(arm) < set(other) for other in arms)]
 
 
 def _content(path: Path) -> tuple[bytes, Element]:
@@ -163,7 +162,7 @@ def _content(path: Path) -> tuple[bytes, Element]:
 def _arm(
     path: Path,
     root: Element,
-    match: Callable[[Sequence[str]], Mapping[str, str]],
+    match: Match,
     gravity: tuple[float, float, float],
 ) -> SimulatedArm:
     return read_urdf(path, root, match, gravity) if root.tag == "robot" else read_mjcf(path, root, match)

@@ -7,9 +7,10 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import numpy as np
 from agent.core import InputError, needed
 from agent.model import body_parameters
 from agent.simulators.arm import CarryingBody, SimulatedArm, plain_joint, plain_robot, smooth_torque
-from agent.simulators.joints import leaving_out, listed
+from agent.simulators.joints import Match, leaving_out, listed
 from agent.simulators.servos import position_servos, pulled_joints
 from agent.simulators.urdf import digits, rpy_of, set_inertial
 
@@ -108,7 +109,7 @@ def _compile_apart(path: Path, place: Path, excluded: Sequence[tuple[str, str]])
     return told.decode(errors="replace") or too_much
 
 
-def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mapping[str, str]]) -> SimulatedArm:
+def read_mjcf(path: Path, root: Element, match: Match) -> SimulatedArm:
     """The arm of an MJCF; joints that `match` leaves out are held where the file starts them.
 
     Raises:
@@ -140,22 +141,9 @@ def read_mjcf(path: Path, root: Element, match: Callable[[Sequence[str]], Mappin
     return arm
 
 
-def longest_branch(path: Path) -> list[str]:
-    """Joints of the branch that has most of them.
-
-    Raises:
-        InputError: MuJoCo does not accept the file.
-    """
-    return max(branches_of(path), key=len)
-
-
-def branches_of(path: Path) -> list[list[str]]:
-    """Joints of every branch, base to tip, without those coupled by an equality.
-
-    Raises:
-        InputError: MuJoCo does not accept the file.
-    """
-    mujoco, model = mujoco_package(), compiled(path)
+def branches_of(model: Any) -> list[list[str]]:
+    """Joints of every branch of a compiled model, base to tip, without those coupled by an equality."""
+    mujoco = mujoco_package()
     ties = np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT)
     tied = {*model.eq_obj1id[ties].tolist(), *model.eq_obj2id[ties].tolist()}
     free = {j: name for j, name in _single_axes(mujoco, model).items() if name and j not in tied}
@@ -180,10 +168,10 @@ class _Scene:
     base; link k is moved by the k-th chosen joint.
     """
 
-    def __init__(self, path: Path, match: Callable[[Sequence[str]], Mapping[str, str]]):
+    def __init__(self, path: Path, match: Match):
         self.path, self.mujoco, self.model = path, mujoco_package(), compiled(path)
         self.names = _single_axes(self.mujoco, self.model)
-        self.used = match([name for name in self.names.values() if name])
+        self.used = match([name for name in self.names.values() if name], partial(branches_of, self.model))
         self.chosen = [j for j, name in self.names.items() if name in self.used]
         self.joint_names = tuple(self.used[self.names[j]] for j in self.chosen)
         self.link_of = np.zeros(self.model.nbody, dtype=int)

@@ -6,7 +6,8 @@ Elements of a URDF are read and written here too: poses, inertials, ends of join
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
@@ -17,15 +18,13 @@ from agent.core import InputError
 from agent.model import body_parameters, seen_from
 from agent.robot import RobotDescription, about_centre, check_urdf
 from agent.simulators.arm import CarryingBody, SimulatedArm, plain_joint, plain_robot
-from agent.simulators.joints import leaving_out, listed
+from agent.simulators.joints import Match, leaving_out, listed
 
 _TURN = 6.3  # rad
 _MOVABLE = ("revolute", "continuous", "prismatic")
 
 
-def read_urdf(
-    path: Path, root: Element, match: Callable[[Sequence[str]], Mapping[str, str]], gravity: tuple[float, float, float]
-) -> SimulatedArm:
+def read_urdf(path: Path, root: Element, match: Match, gravity: tuple[float, float, float]) -> SimulatedArm:
     """The arm of a URDF; joints that `match` leaves out are held at zero.
 
     Raises:
@@ -33,7 +32,7 @@ def read_urdf(
     """
     elements = {str(joint.get("name")): joint for joint in root.findall("joint")}
     movable = [name for name, joint in elements.items() if joint.get("type") in _MOVABLE]
-    used = match(movable)
+    used = match(movable, partial(chains_of, root))
     _refuse_followers(path, elements, used)
     check_urdf(path, root, list(used))
     _check_radians(path, root)
@@ -81,11 +80,6 @@ def read_urdf(
         carrying=tuple(_carrying(root, joint, set(used.values())) for joint in joints),
         notes=(f"{listed(held)} held at zero: not among the joints compared",) if held else (),
     )
-
-
-def longest_chain(root: Element) -> list[str]:
-    """Joints of the branch that has most of them."""
-    return max(chains_of(root), key=len, default=[])
 
 
 def chains_of(root: Element) -> list[list[str]]:
