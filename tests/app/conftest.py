@@ -23,7 +23,7 @@ motion:
       size: [500 mm, 600 mm, 400 mm]
       orientation: [0 deg, 180 deg, 0 deg]
       cone: 30 deg
-search: {{population: 8, generations: 3, seed: 1}}
+search: {{population: 4, generations: 1, seed: 1}}
 record: {{rate: 500 Hz, cycles: {cycles}}}
 validate: {{motions: {motions}, speed: {speed}, seed: 2}}
 gate: {{normalised_rmse: {gate}}}

@@ -42,7 +42,7 @@ def test_a_recipe_is_recorded_then_diagnosed(start_controller, write_recipe, run
     effects = tmp_path / "effects.json"
     effects.write_text(json.dumps([{"effect": "time_delay", "parameters": {"delay": DELAY}}]))
     controller = start_controller("--clock", "fast", "--effects", str(effects))
-    recipe = write_recipe(controller.address, motions=1, speed="0.3 m/s")
+    recipe = write_recipe(controller.address, motions=1, speed="0.6 m/s")
     zero = write_zero(tmp_path / "zero.mcap")
     run = run_agent("diagnose", "--record", recipe, "--json", "-o", "model.json", "--drives-off", zero)
     assert run.returncode == 0, run.stderr

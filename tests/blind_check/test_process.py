@@ -37,7 +37,7 @@ class FewRuns(EmulatorWorld):
 def check(arm: str, tmp_path_factory) -> BlindCheck:
     """Two short runs of two joints, done: one without an effect, and one with two."""
     folder = tmp_path_factory.mktemp("blind")
-    world = FewRuns({"robot": arm, "cycle": 1.6})
+    world = FewRuns({"robot": arm, "cycle": 0.8})
     whole = BlindCheck(world, RUNS, folder / "check")
     whole.key_file.parent.mkdir(parents=True)
     Key(world.name, RUNS, 1, "a salt").save(whole.key_file)

@@ -112,12 +112,6 @@ def test_nearly_constant_torque_is_not_reported_as_a_held_sensor(robot, model):
     assert not _said(found)
 
 
-def test_a_run_without_a_gap_reports_no_held_sensor(robot, model):
-    found = diagnose(robot, _logs(robot, lambda torque, _: torque), model)
-    assert found.document.verdict == "no_gap"
-    assert not _said(found)
-
-
 @pytest.mark.parametrize("joint", [1, pytest.param(5, marks=pytest.mark.verify)])
 def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
     """KR300, free motion: the torque of one joint is held for 0.2 to 0.8 s now and then; as recorded it is not."""

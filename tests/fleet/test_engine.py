@@ -43,6 +43,18 @@ def test_the_in_process_engine_gives_the_same_rows():
         assert _answers(engine, 5) == [(k, k * k) for k in range(5)]
 
 
+def test_a_killed_worker_does_not_change_the_answers():
+    """Two local processes, one of them killed with -9 among the tasks."""
+    with DaskEngine(workers=2) as engine:
+
+        def kill(done: int) -> None:
+            if done == 15:
+                os.kill(min(engine._client.run(os.getpid).values()), signal.SIGKILL)
+
+        assert _answers(engine, 60, kill) == [(k, k * k) for k in range(60)]
+
+
+@pytest.mark.verify
 def test_a_killed_worker_does_not_change_the_rows(plant: Path, estimated: Path, tmp_path: Path):
     """Two local processes, one of them killed with -9 in the middle of a real estimate."""
     killed = []

@@ -92,7 +92,7 @@ def corrected(given, effects=(), links=(), rotors=(), friction=(), change=None, 
     return correct(given, change, weight, unexplained, np.ones(3), effects, released, {})
 
 
-def motion(seconds: float = 1.0):
+def motion(seconds: float = 0.6):
     """(S, 3) smooth motion that turns back."""
     time = np.arange(int(seconds * RATE)) / RATE
     w, phase = np.array([5.0, 7.0, 11.0]), np.array([0.3, 1.0, 2.0])

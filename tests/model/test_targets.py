@@ -183,6 +183,31 @@ def test_a_limit_that_differs_by_direction_is_said(tmp_path):
     assert "door ignored: no part of the arm" in said
 
 
+_TIME = np.arange(0.0, 6.0, 0.002)
+#: Time [s], position [rad] and speed [rad/s] of the first joint.
+LED = _TIME, 0.8 * np.sin(1.3 * _TIME), 1.04 * np.cos(1.3 * _TIME)
+
+
+def led(path: Path) -> np.ndarray:
+    """(S,) forces on the first joint of a file that is led along that motion."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, force = mujoco.MjData(model), np.empty(len(_TIME))
+    for k, (_, q, qd) in enumerate(zip(*LED, strict=True)):
+        data.qpos[:], data.qvel[:] = (q, 0.0), (qd, 0.0)
+        mujoco.mj_forward(model, data)
+        force[k] = data.qfrc_passive[0] + data.qfrc_actuator[0] - model.dof_frictionloss[0] * np.sign(qd)
+        mujoco.mj_step(model, data)
+    return force
+
+
+@pytest.fixture(scope="module")
+def led_without(fixed) -> np.ndarray:
+    """The forces without any effect."""
+    return led(fixed)
+
+
 @pytest.mark.parametrize(
     ("effect", "parameters", "near"),
     [
@@ -205,32 +230,22 @@ def test_a_limit_that_differs_by_direction_is_said(tmp_path):
         ("dress_pack", {"constant": 0.3, "stiffness": 0.5, "hysteresis": 0.2, "travel": 0.05}, 0.01),
     ],
 )
-def test_mujoco_gives_the_torque_of_an_effect_that_passive_forces_say(fixed, tmp_path, effect, parameters, near):
+def test_mujoco_gives_the_torque_of_an_effect_that_passive_forces_say(
+    fixed, led_without, tmp_path, effect, parameters, near
+):
     """The arm is led along a motion in MuJoCo 4, with and without the effect."""
-    import mujoco
-
     written(tmp_path, SERVO, "fixed.xml")
     entry = {"effect": effect, "joints": ["pan"], "parameters": parameters, "reason": ""}
     written(tmp_path, json.dumps({"schema": "simulator-changes/1", "effects": [entry]}), "fixed.changes.json")
     paths, _ = exported(numbers_of_file(tmp_path / "fixed.xml"), "mjcf", tmp_path)
-    t = np.arange(0.0, 6.0, 0.002)
-    q, qd = 0.8 * np.sin(1.3 * t), 1.04 * np.cos(1.3 * t)
-    forces = []
-    for path in (paths["two.xml"], fixed):
-        model = mujoco.MjModel.from_xml_path(str(path))
-        data, force = mujoco.MjData(model), np.empty(len(t))
-        for k in range(len(t)):
-            data.qpos[:], data.qvel[:] = (q[k], 0.0), (qd[k], 0.0)
-            mujoco.mj_forward(model, data)
-            force[k] = data.qfrc_passive[0] + data.qfrc_actuator[0] - model.dof_frictionloss[0] * np.sign(qd[k])
-            mujoco.mj_step(model, data)
-        forces.append(force)
+    t, q, qd = LED
+    error = led_without - led(paths["two.xml"])
     zero = np.zeros_like(q)
     motion = {"time": t, "q": np.stack([q, zero], 1), "qd": np.stack([qd, zero], 1), "qdd": np.zeros((len(t), 2))}
     arm = load_simulator(fixed, None, ("pan", "slide"))
     torque = effect_torque(arm.model, ModelEffect(effect, ("pan",), parameters), motion)[:, 0]
     moving = np.abs(qd) > 0.05  # bristles of MuJoCo bend a little at reversals
-    error, torque = (forces[1] - forces[0] - torque)[moving], torque[moving]
+    error, torque = (error - torque)[moving], torque[moving]
     assert np.sqrt(np.mean(error**2)) <= (near or 1e-6) * np.sqrt(np.mean(torque**2))
     if effect in ("presliding", "stribeck", "torque_ripple"):
         with pytest.raises(InputError, match="dcmotor 'pan_"):

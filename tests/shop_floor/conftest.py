@@ -30,7 +30,7 @@ motion:
       size: [500 mm, 600 mm, 400 mm]
       orientation: [0 deg, 180 deg, 0 deg]
       cone: 30 deg
-search: {{population: 6, generations: 2, seed: {seed}}}
+search: {{population: 4, generations: 1, seed: {seed}}}
 record: {{rate: 500 Hz, cycles: 3}}
 validate: {{motions: 1, speed: 0.5 m/s, seed: 2}}
 gate: {{normalised_rmse: 3 %}}

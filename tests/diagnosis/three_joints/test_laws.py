@@ -72,7 +72,8 @@ def _bristles(position: np.ndarray, level: float, stiffness: float) -> np.ndarra
     return torque
 
 
-@pytest.mark.parametrize("level", [pytest.param(3.0, marks=pytest.mark.verify), 8.0])
+@pytest.mark.verify
+@pytest.mark.parametrize("level", [3.0, 8.0])
 def test_names_friction_with_a_longer_reversal_distance(arm, model, healthy, level):
     """It leaves a fifth of the gap, as its bristles are not those of the form; nothing smooth makes them."""
     travel = 4e-3  # rad over which the friction that is there before reverses
@@ -116,6 +117,7 @@ def test_a_torsion_spring_may_be_equivalent_to_a_hose(arm, model, healthy):
     assert cause.parameters["constant"] == pytest.approx(-0.4 * stiffness, rel=0.2)
 
 
+@pytest.mark.verify
 def test_a_nearly_constant_spring_is_not_an_offset(arm, model, healthy, size):
     """About where it pulls most it is a constant but for a hundredth, which is clear of what the model gets wrong."""
     travelled = np.concatenate([log.position[:, JOINT] for log in healthy])
@@ -127,6 +129,7 @@ def test_a_nearly_constant_spring_is_not_an_offset(arm, model, healthy, size):
     assert "torque_offset" not in named
 
 
+@pytest.mark.verify
 def test_friction_that_bends_by_little_is_not_ruled_out(arm, model, healthy, size):
     """Another level explains all but two hundredths, and no form is trusted further; but that is there all the same."""
     logs = []
@@ -140,6 +143,7 @@ def test_friction_that_bends_by_little_is_not_ruled_out(arm, model, healthy, siz
     assert "viscous_nonlinearity" in named
 
 
+@pytest.mark.verify
 def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(arm, model):
     """As many parameters explain more, by as little as the load changes; another level of friction is no simpler."""
     plant = Plant(arm, seed=3)
@@ -151,6 +155,7 @@ def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(ar
     assert found.verdict == "ambiguous"
 
 
+@pytest.mark.verify
 @pytest.mark.parametrize(
     ("law", "causes", "named", "verdict"),
     [
@@ -158,19 +163,16 @@ def test_friction_that_grows_with_a_load_that_hardly_changes_is_not_ruled_out(ar
             lambda q: np.sin(q - 0.4) + 0.5 * dahl(q, np.array([1e-3]))[:, 0],
             *(None, {"gravity_spring"}, None),
             id="that turns around at once",
-            marks=pytest.mark.verify,
         ),
         pytest.param(
             lambda q: np.sin(q - 0.4) + 0.4 * _slide(q),
             *(None, {"gravity_spring", "dress_pack"}, "ambiguous"),
             id="or a spring",
-            marks=pytest.mark.verify,
         ),
         pytest.param(
             lambda q: 10 + 0.6 * (q - 0.4) + 0.5 * dahl(q, np.array([0.1]))[:, 0],
             *(["dress_pack"], set(), "explained"),
             id="and a large constant",
-            marks=pytest.mark.verify,
         ),
         pytest.param(
             lambda q: 0.4 + 0.3 * _slide(q),
@@ -190,6 +192,7 @@ def test_a_hose_with_friction(arm, model, healthy, size, law, causes, named, ver
     assert not causes or ("dress_pack" in {name for name, _ in places}) == ("dress_pack" in causes)
 
 
+@pytest.mark.verify
 def test_a_ripple_with_few_periods_is_not_a_hose(arm, model, healthy, size):
     """A curve through six positions follows two and a half periods; their order is between two lines of a spectrum."""
     travel = np.ptp(np.concatenate([log.position[:, JOINT] for log in healthy]))
@@ -201,6 +204,7 @@ def test_a_ripple_with_few_periods_is_not_a_hose(arm, model, healthy, size):
     assert cause.parameters["order"] == pytest.approx(order, rel=0.02)
 
 
+@pytest.mark.verify
 def test_a_spring_between_two_pivots_keeps_its_name(arm, model, healthy, size):
     """The lever is long compared with the anchor, so its law is far from a sine."""
 
