@@ -48,7 +48,6 @@ def test_play_shows_where_the_load_turns_and_not_under_a_weight_that_holds_one_f
     assert weighed < 1e-6
 
 
-@pytest.mark.verify
 def test_a_servo_that_hunts_in_a_play_is_named_where_it_reads_the_link(tmp_path):
     write({"truth": TRUTH, "folder": str(tmp_path), "seconds": 16.0})
     answer = diagnose_run(tmp_path)

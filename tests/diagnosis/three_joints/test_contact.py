@@ -45,6 +45,7 @@ def pushed(arm, log, end: str, times, share: float = 1.0, at=(0.0, 0.0, 0.0)):
     return replace(log, effort=log.effort - acts[:, None] * np.einsum("san,a->sn", jacobian, share * FORCE))
 
 
+@pytest.mark.verify
 def test_a_constant_shift_of_one_log_is_not_a_push(arm, model, free):
     """An offset, a gain or a load of one log only: that log has no usual windows."""
     shift = 15.0 * (np.arange(arm.dof) == 1)
@@ -114,6 +115,7 @@ def test_pushes_are_found_on_their_link_with_force_and_times(arm, model, free, t
     assert are_found(found, [(*time, 0) for time in times])
 
 
+@pytest.mark.verify
 def test_many_pushes_are_found(arm, model):
     """As on an arm that was hit eighteen times in a minute and a half."""
     plant, times = Plant(arm, seed=3), [(1.2, 2.0), (6.9, 7.5)]
@@ -122,6 +124,7 @@ def test_many_pushes_are_found(arm, model):
     assert {(log, round(start)) for start, _, _, log, _ in found} == {(log, at) for log in range(4) for at in (1, 7)}
 
 
+@pytest.mark.verify
 def test_a_push_in_the_middle_of_a_link_is_found_there(arm, model, free):
     """`link_3` begins at the third joint, which feels a force elsewhere on it, and at its far end another one."""
     place, times = (0.1, 0.0, 0.1), [(1.2, 2.0), (6.9, 7.5)]

@@ -42,6 +42,7 @@ def test_a_load_becomes_a_point_mass_instead_of_a_negative_inertia(arm, model, i
     assert PAYLOAD.plausible(settings, parameters)
 
 
+@pytest.mark.verify
 def test_a_removed_load_has_negative_mass(arm):
     carries = Plant(arm, seed=3, effects=[{"effect": "payload", "parameters": {"mass": MASS}}])
     model = estimate(arm, [record(carries, "first", 11), record(carries, "second", 12)])

@@ -122,6 +122,7 @@ def test_a_log_without_set_points_is_not_simulated(diagnosed):
     assert "nothing was simulated" in diagnosis_report(bare, [])
 
 
+@pytest.mark.verify
 def test_the_extended_model_runs_like_the_machine(diagnosed, arm):
     log = diagnosed.dataset.logs[0]
     again = record(Plant(arm, model=extended_model(diagnosed)), "again", 21)
@@ -152,6 +153,7 @@ def test_a_healthy_arm_on_another_path_has_no_gap(healthy, model, arm):
         assert not SIZED_GAP.search(said), said
 
 
+@pytest.mark.verify
 def test_an_error_that_only_a_usual_change_explains_is_said_although_nothing_is_named(healthy, model, arm):
     """Friction that is 5 % higher differs no more than from day to day, by several times the model's own error."""
     warmer = [
