@@ -57,7 +57,7 @@ def test_massless_links_have_no_resonance(arm, model, parked, monkeypatch):
         assert [CATALOGUE[name].settings(fit, (0,)) for name in ("joint_elasticity", "backlash")] == [[], []]
 
 
-@pytest.mark.parametrize("cause", [pytest.param("of its angle", marks=pytest.mark.verify), "a push"])
+@pytest.mark.parametrize("cause", ["of its angle", "a push"])
 def test_torque_that_follows_a_short_travel_is_not_a_push(arm, model, cause):
     """A hose that grips late on a joint that turns by little; a push there is still one."""
     plant, logs = Plant(arm, seed=3), []
