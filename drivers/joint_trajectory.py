@@ -258,17 +258,17 @@ def _step(data: dict[str, Any], joints: tuple[str, ...], line: int) -> Step:
     return Step(line, cycles, points, tolerance=np.array([limits[name] for name in joints]))
 
 
-def _points(given: list[dict[str, Any]], count: int) -> JointSpline:
-    if not 2 <= len(given) <= _POINTS:
-        raise ValueError(f"{len(given)} points; 2 to {_POINTS} are allowed")
-    times = [_seconds(point["time_from_start"]) for point in given]
+def _points(points: list[dict[str, Any]], count: int) -> JointSpline:
+    if not 2 <= len(points) <= _POINTS:
+        raise ValueError(f"{len(points)} points; 2 to {_POINTS} are allowed")
+    times = [_seconds(point["time_from_start"]) for point in points]
     if not (times[0] >= LEAD - 1e-9 and all(b > a for a, b in pairwise(times))):
         raise ValueError(f"times have to rise, from {LEAD} s on")
     if not times[-1] <= LONGEST + _SETTLED:
         raise ValueError(
             f"a goal of {times[-1]:.1f} s; {LONGEST:g} s are allowed, as the arm goes on to its end by itself"
         )
-    q, qd, qdd = (np.array([_row(point[key], count) for point in given]) for key in RATES)
+    q, qd, qdd = (np.array([_row(point[key], count) for point in points]) for key in RATES)
     if np.any(qd[[0, -1]]) or np.any(qdd[[0, -1]]):
         raise ValueError("a goal has to begin and end stationary")
     return JointSpline(np.array(times), q, qd, qdd)

@@ -267,10 +267,10 @@ class Execution:
             part = self._rest(reference, _SETTLE_SLICE)
             yield part
             if termination in _JOINT_TOLERANCE:
-                near = np.abs(part.position - reference).max() < _JOINT_TOLERANCE[termination]
+                arrived = np.abs(part.position - reference).max() < _JOINT_TOLERANCE[termination]
             else:
-                near = np.linalg.norm(self._forward(part.position)[:, :3, 3] - goal, axis=1).max() < tolerance
-            if near:
+                arrived = np.linalg.norm(self._forward(part.position)[:, :3, 3] - goal, axis=1).max() < tolerance
+            if arrived:
                 return
 
 

@@ -253,8 +253,8 @@ class FaultyController:
         if "frozen" in self._lies:
             if self._frozen is None:
                 self._frozen = samples.position[:1], samples.reference_position[:1]
-            position, given = (np.repeat(values, len(samples), axis=0) for values in self._frozen)
-            samples = replace(samples, position=position, reference_position=given)
+            position, reference = (np.repeat(values, len(samples), axis=0) for values in self._frozen)
+            samples = replace(samples, position=position, reference_position=reference)
         if "no_numbers" in self._lies:
             samples = replace(samples, torque=np.full_like(samples.torque, np.nan))
         return samples

@@ -97,10 +97,10 @@ class BeyondMachine:
         self._model, self._rotors = model, machine.reflected_rotors
         self._links = machine.dynamics()
         own = _own_friction(model)
-        kept = [term.form in _OWN for term in model.terms]
+        is_own = [term.form in _OWN for term in model.terms]
         values = np.array(model.values)
         for k, term in enumerate(model.terms):
-            if kept[k]:
+            if is_own[k]:
                 values[len(model.independent) + k] -= own[term.axle, _OWN.index(term.form)]
         others = tuple(entry for entry in model.effects if entry.effect not in _SIMULATED)
         self._rest = replace(model, values=values, effects=others)

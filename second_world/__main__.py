@@ -27,13 +27,13 @@ def main(arguments: list[str]) -> int:
     if arguments not in (["draw"], ["run"]):
         print("python -m second_world: draw or run, with JSON on stdin", file=sys.stderr)
         return 2
-    given = json.load(sys.stdin)
+    question = json.load(sys.stdin)
     if arguments == ["draw"]:
         from second_world.draw import draw_cases
 
-        print(json.dumps(draw_cases(**given)))
+        print(json.dumps(draw_cases(**question)))
     else:
-        print(json.dumps([run(job) for job in given]))
+        print(json.dumps([run(job) for job in question]))
     return 0
 
 

@@ -88,9 +88,9 @@ def _filled(
     runs: list[dict[str, Any]] = []
     failed: list[dict[str, Any]] = []
     for (truth, place), label, serial in zip(tasks, labels[::2], labels[1::2], strict=True):
-        said = json.loads((place / "truth.json").read_text(encoding="utf-8"))
-        made = {"run": label, "serial": f"SN-{serial}", **truth, **said, "number": int(place.name)}
-        (failed if "error" in said else runs).append(made)
+        outcome = json.loads((place / "truth.json").read_text(encoding="utf-8"))
+        made = {"run": label, "serial": f"SN-{serial}", **truth, **outcome, "number": int(place.name)}
+        (failed if "error" in outcome else runs).append(made)
     runs.sort(key=lambda run: run["run"])  # the order of the files says nothing about the draw
     for run in runs:
         _publish(staging / f"{run['number']:04d}", folder / "runs" / run["run"], run["serial"], rng)
@@ -145,12 +145,12 @@ def _recorded(world: World, task: tuple[Truth, Path]) -> bool:
     if not note.exists():
         shutil.rmtree(place, ignore_errors=True)  # of an export that was stopped in the middle of it
         place.mkdir(parents=True)
-        said: dict[str, Any]
+        outcome: dict[str, Any]
         try:
-            said = world.write(truth, place)
+            outcome = world.write(truth, place)
         except (AgentError, DriverError) as error:
-            said = {"error": str(error)}
-        write_atomically(note, json.dumps(said))
+            outcome = {"error": str(error)}
+        write_atomically(note, json.dumps(outcome))
     return True
 
 

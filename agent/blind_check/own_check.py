@@ -54,13 +54,13 @@ class BlindCheck:
         engine = engine or InProcess()
         key = self._exported(console, engine)
         console.step(f"{len(key.runs)} runs in {self.folder / 'export'}; the key is {self.key_file}")
-        said = self.folder / "answers.jsonl"
-        self._answer([(run["run"], []) for run in key.runs], said, console, engine)
+        answers_file = self.folder / "answers.jsonl"
+        self._answer([(run["run"], []) for run in key.runs], answers_file, console, engine)
         named = [run for run in key.runs if run["kind"] not in ("none", "outside")]
         withheld = [(run["run"], sorted({effect["effect"] for effect in run["effects"]})) for run in named]
         console.step("again, each run without its true effects in the catalogue")
-        self._answer(withheld, said, console, engine)
-        return _scored(key, {TOOL: read_answers(said)}, self.folder)
+        self._answer(withheld, answers_file, console, engine)
+        return _scored(key, {TOOL: read_answers(answers_file)}, self.folder)
 
     def _exported(self, console: Console, engine: TaskEngine) -> Key:
         if not (self.folder / "export" / INDEX).exists():

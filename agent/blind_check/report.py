@@ -61,8 +61,8 @@ def write_results(folder: Path, results: Sequence[Result]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise AgentError(f"{folder}: cannot be made: {error.strerror}") from None
-    kept = ({name: value for name, value in result.items() if _USUAL.get(name, ...) != value} for result in results)
-    write_atomically(folder / RESULTS, "".join(json.dumps(entry, separators=(",", ":")) + "\n" for entry in kept))
+    reduced = ({name: value for name, value in result.items() if _USUAL.get(name, ...) != value} for result in results)
+    write_atomically(folder / RESULTS, "".join(json.dumps(entry, separators=(",", ":")) + "\n" for entry in reduced))
     write_atomically(folder / PAGE, page(read_results(folder / RESULTS)))
 
 
@@ -87,8 +87,8 @@ def page(results: Sequence[Result]) -> str:
     for world in dict.fromkeys(result["world"] for result in results):
         here = [result for result in results if result["world"] == world]
         scores = score(here)
-        said = f"{len({result['run'] for result in here})} runs, answered by {', '.join(scores)}."
-        lines += [f"## World {world}", "", said, "", *_verdicts(scores), *_further(scores), *_power(scores)]
+        introduction = f"{len({result['run'] for result in here})} runs, answered by {', '.join(scores)}."
+        lines += [f"## World {world}", "", introduction, "", *_verdicts(scores), *_further(scores), *_power(scores)]
     return "\n".join(lines).rstrip() + "\n"
 
 

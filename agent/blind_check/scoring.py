@@ -54,11 +54,11 @@ def results_of(key: Key, answers: Mapping[str, Sequence[Mapping[str, Any]]]) -> 
         InputError: an answer to a run that the key does not have.
     """
     known = {run["run"] for run in key.runs}
-    for tool, given in answers.items():
-        if strange := [answer["run"] for answer in given if answer["run"] not in known]:
+    for tool, tool_answers in answers.items():
+        if strange := [answer["run"] for answer in tool_answers if answer["run"] not in known]:
             raise InputError(f"{tool}: the key has no run {strange[0]}; are these answers to another benchmark?")
-        plain = {answer["run"]: answer for answer in given if not answer["without"]}
-        withheld = {answer["run"]: answer for answer in given if answer["without"]}
+        plain = {answer["run"]: answer for answer in tool_answers if not answer["without"]}
+        withheld = {answer["run"]: answer for answer in tool_answers if answer["without"]}
         for run in key.runs:
             yield {"world": key.world, **_result(tool, run, plain.get(run["run"]), withheld.get(run["run"]))}
 
@@ -101,9 +101,9 @@ def _numbers_held(run: Mapping[str, Any], answer: Mapping[str, Any] | None) -> l
     pairs = [
         (low, true, high)
         for kind, row in answer["servo"].items()
-        for given, true in zip(row, run["numbers"][kind], strict=True)
-        if given is not None
-        for _, low, high in [given]
+        for interval, true in zip(row, run["numbers"][kind], strict=True)
+        if interval is not None
+        for _, low, high in [interval]
     ]
     return [sum(low <= true <= high for low, true, high in pairs), len(pairs)]
 
@@ -213,15 +213,15 @@ def _power(results: Sequence[Result]) -> list[dict[str, Any]]:
 
 def _calibration(results: Sequence[Result]) -> dict[str, Any]:
     """How often the first cause's class holds a true effect, against its probability: bins, Brier score and ECE."""
-    said = np.array([result["probability"] for result in results], dtype=float)
+    stated = np.array([result["probability"] for result in results], dtype=float)
     true = np.array([result["outcome"] in ("named", "in class") for result in results], dtype=float)
     rows, error = [], 0.0
     for low, high in pairwise(_PROBABILITIES):
-        here = (said >= low) & (said < high)
+        here = (stated >= low) & (stated < high)
         if count := int(here.sum()):
-            mean, came = float(said[here].mean()), float(true[here].mean())
-            error += abs(mean - came) * count / len(said)
+            mean, came = float(stated[here].mean()), float(true[here].mean())
+            error += abs(mean - came) * count / len(stated)
             rows.append({"from": low, "to": min(high, 1.0), "runs": count, "said": mean, "came": came})
-    if not len(said):
+    if not len(stated):
         return {"runs": 0, "bins": [], "brier": None, "ece": None}
-    return {"runs": len(said), "bins": rows, "brier": float(np.mean((said - true) ** 2)), "ece": error}
+    return {"runs": len(stated), "bins": rows, "brier": float(np.mean((stated - true) ** 2)), "ece": error}

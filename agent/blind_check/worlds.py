@@ -114,14 +114,14 @@ def world_of(name: str) -> World:
     return worlds[name]
 
 
-def ask_world(arguments: Sequence[str], given: Any = None) -> Any:
+def ask_world(arguments: Sequence[str], question: Any = None) -> Any:
     """Run the process of a world with arguments for Python and an object on stdin; returns its answer.
 
     Raises:
         InputError: something it needs is not installed.
         ControllerError: it failed.
     """
-    done = subprocess.run([sys.executable, *arguments], input=json.dumps(given), capture_output=True, text=True)
+    done = subprocess.run([sys.executable, *arguments], input=json.dumps(question), capture_output=True, text=True)
     if done.returncode == 2:
         raise InputError(f"blind check: {done.stderr.strip()}")
     if done.returncode:

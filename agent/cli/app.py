@@ -56,8 +56,8 @@ def init(
     cone: Annotated[str | None, Option(metavar="ANGLE", help="how far the tool may tilt")] = None,
 ) -> None:
     """Write a commented recipe. On a terminal, the command asks for values without an option."""
-    given = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
-    print(pipeline.write_recipe(recipe, {**given, "orientation": orientation, "cone": cone}))
+    values = {"robot": robot, "driver": driver, "controller": controller, "centre": centre, "size": size}
+    print(pipeline.write_recipe(recipe, {**values, "orientation": orientation, "cone": cone}))
     print(f"next: agent check {recipe} (moves nothing)", file=sys.stderr)
 
 
@@ -317,8 +317,8 @@ def trajectories(as_json: opt.AsJson = False) -> None:
     """List the stored calibration motions by robot, tool, sub-region and checksum."""
     damaged: list[str] = []
     loops = run_store.stored_loops(damaged=damaged)
-    for said in damaged:
-        print(f"warning: {said}", file=sys.stderr)
+    for warning in damaged:
+        print(f"warning: {warning}", file=sys.stderr)
     if as_json:
         core.print_json({"schema": "trajectories/1", "trajectories": [loop.to_dict() for loop in loops]})
         return

@@ -22,16 +22,16 @@ def compiled(signature: str) -> Callable[[Function], Function]:
     may call those of its own module only.
     """
 
-    kept: Callable[[Function], Function] = numba.njit(signature, cache=True)  # type: ignore[assignment]
+    cached: Callable[[Function], Function] = numba.njit(signature, cache=True)  # type: ignore[assignment]
 
     def compile_it(function: Function) -> Function:
         try:
-            return kept(function)
+            return cached(function)
         except (RuntimeError, OSError):  # no such folder, or the disk is full
             pass
         try:
             numba.config.CACHE_DIR = _own_folder()  # type: ignore[attr-defined]
-            return kept(function)
+            return cached(function)
         except (RuntimeError, OSError):
             once: Function = numba.njit(signature)(function)  # type: ignore[assignment]
             return once

@@ -130,7 +130,7 @@ def servo_through_play(
         spring, half = stiffness[g], 0.5 * gap[g]
         least = step * max(step * spring, damper[g])  # the lightest body that the steps can follow
         inertia = max(rotor, least)
-        held = step * coulomb / (inertia + step * viscous)
+        grip = step * coulomb / (inertia + step * viscous)
         load = motion[1, 0]
         lead = load / spring + (half if load >= 0 else -half)
         away, rate, lead_rate, turning = 0.0, 0.0, 0.0, motion[2, 0]
@@ -149,7 +149,7 @@ def servo_through_play(
                     passed = min(spring * (lead + half) + damper[g] * lead_rate, 0.0)
                 torque = min(max(torque - pulls * (kp * away + kv * rate), low), high)
                 turning = (turning * inertia + step * (torque - passed)) / (inertia + step * viscous)
-                turning = np.sign(turning) * max(abs(turning) - held, 0.0)
+                turning = np.sign(turning) * max(abs(turning) - grip, 0.0)
                 rate += step * (passed - load - slope * away) / mass
                 away += step * rate
                 lead_rate = turning - speed - rate

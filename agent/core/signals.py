@@ -88,7 +88,7 @@ def signals_raised() -> Iterator[None]:
         return
     # A job in the background that writes to its terminal would be suspended, where the terminal is set to that.
     before = {number: signal.getsignal(number) for number in (*ENDING, signal.SIGTTOU)}
-    kept = {number: handler for number, handler in before.items() if handler is not None}
+    previous = {number: handler for number, handler in before.items() if handler is not None}
     _state.catching, _state.raised = True, -float("inf")
     try:
         for number in ENDING:
@@ -98,7 +98,7 @@ def signals_raised() -> Iterator[None]:
         signal.signal(signal.SIGTTOU, signal.SIG_IGN)
         yield
     finally:
-        for number, handler in kept.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
         _state.catching = False
 
@@ -129,14 +129,14 @@ def stop_to_come() -> Iterator[None]:
 def _descriptors_kept_back() -> Iterator[None]:
     """What comes after a motion needs files: modules that are loaded only then, the list of programs that have run.
     Where none are left to the process by then, these are."""
-    kept: list[int] = []
+    descriptors: list[int] = []
     with contextlib.suppress(OSError):
-        while len(kept) < _KEPT_BACK:
-            kept.append(os.open(os.devnull, os.O_RDONLY))
+        while len(descriptors) < _KEPT_BACK:
+            descriptors.append(os.open(os.devnull, os.O_RDONLY))
     try:
         yield
     finally:
-        for descriptor in kept:
+        for descriptor in descriptors:
             os.close(descriptor)
 
 

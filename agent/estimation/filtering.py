@@ -346,14 +346,14 @@ def _smooth(
     return [np.ascontiguousarray(signal) for signal in _respond(position, rate, responses, slice(0, None, every))]
 
 
-def _respond(signals: np.ndarray, rate: float, responses: _Responses, kept: slice) -> list[np.ndarray]:
-    """Apply responses over frequency [Hz] to (S, m) signals continued by point reflection, and return `kept` of each.
+def _respond(signals: np.ndarray, rate: float, responses: _Responses, window: slice) -> list[np.ndarray]:
+    """Apply responses over frequency [Hz] to (S, m) signals continued by point reflection, and return `window` of each.
 
-    The spectrum is cut at the new Nyquist frequency where `kept` takes every k-th sample, so only responses that pass
+    The spectrum is cut at the new Nyquist frequency where `window` takes every k-th sample, so only responses that pass
     nothing beyond it may be decimated.
     """
     size, count = len(signals), signals.shape[1]
-    first, stop, step = kept.indices(size)
+    first, stop, step = window.indices(size)
     reduced = next_fast_len((size + 2 * min(size - 1, int(rate))) // step + 1, real=True)
     length = reduced * step
     before = min(size - 1, (length - size) // 2)

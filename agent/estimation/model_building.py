@@ -263,19 +263,19 @@ def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.nd
         return "; ".join(f"{model.robot.joint_names[k]} {text(k)}" for k in often)
 
     faster = speed > np.maximum(_FASTER * fastest, _SLOW * model.robot.max_velocity)
-    if said := of_joints(
+    if joints_text := of_joints(
         faster, lambda k: f"at up to {speed[:, k].max():.3g} {units[k]}/s, fitted up to {fastest[k]:.3g}"
     ):
         yield (
-            f"these logs go faster than the motions that the model was fitted to ({said}): friction there is "
+            f"these logs go faster than the motions that the model was fitted to ({joints_text}): friction there is "
             "extrapolated, treat results there with care"
         )
     lower, upper = known_positions(model) or (lowest, highest)
-    if said := of_joints(
+    if joints_text := of_joints(
         (q < lower) | (q > upper),
         lambda k: (
             f"between {q[:, k].min():.3g} and {q[:, k].max():.3g} {units[k]}, fitted between {lowest[k]:.3g} and "
             f"{highest[k]:.3g}"
         ),
     ):
-        yield f"these logs go where the model was never fitted ({said}): treat results there with care"
+        yield f"these logs go where the model was never fitted ({joints_text}): treat results there with care"

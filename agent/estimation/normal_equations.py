@@ -185,8 +185,8 @@ def _determined(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     diagonal = np.diag(matrix)
     scale = np.where(diagonal > _RANK**2 * diagonal.max(), 1 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
     values, vectors = symmetric_eigen(matrix * np.outer(scale, scale))
-    kept = values > _RANK * values[-1]
-    return scale, values[kept], vectors[:, kept]
+    determined = values > _RANK * values[-1]
+    return scale, values[determined], vectors[:, determined]
 
 
 def reweight(moments: Moments, parameters: np.ndarray) -> np.ndarray:

@@ -59,9 +59,9 @@ class Problem:
         prior = physical_prior(observation, terms, links)
         load = prior.mean[: observation.rigid.count] if load is None else load
         friction = (observation.friction(segment, terms, load) for segment in observation.segments)
-        kept = _kept(observation, friction) if keep else []
-        moments = collect_moments(observation, partition, terms, kept or friction)
-        return cls(observation, partition, terms, load, moments, prior, prior_weight, links, kept)
+        stored = _kept(observation, friction) if keep else []
+        moments = collect_moments(observation, partition, terms, stored or friction)
+        return cls(observation, partition, terms, load, moments, prior, prior_weight, links, stored)
 
     def select(self, chosen: np.ndarray) -> Problem:
         """The same with some of the terms, by index."""
@@ -189,9 +189,9 @@ class Problem:
     def correlation(self, rows: list[np.ndarray]) -> np.ndarray:
         """(p,) Xᵀ r for r given segment by segment (S', n)."""
         total = np.zeros(self.moments.parameters)
-        for segment, friction, given in zip(self.observation.segments, self.friction(), rows, strict=True):
+        for segment, friction, targets in zip(self.observation.segments, self.friction(), rows, strict=True):
             for joint, (index, block) in enumerate(self.observation.joint_rows(segment, self.terms, friction)):
-                total[index] += block[:, :-1].T @ given[:, joint]
+                total[index] += block[:, :-1].T @ targets[:, joint]
         return total
 
 

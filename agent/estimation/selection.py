@@ -162,8 +162,8 @@ def select_friction_terms(observation: Observation, partition: Partition) -> Pro
     weights = problem.weights()
     problem = _without_offsets(problem, weights)
     load = problem.solve(weights)[: observation.rigid.count]
-    kept = {term.name for term in problem.terms}
-    everywhere = (term for term in paper_terms(reversals, _EVERYWHERE) if term.name in kept)
+    names_kept = {term.name for term in problem.terms}
+    everywhere = (term for term in paper_terms(reversals, _EVERYWHERE) if term.name in names_kept)
     candidates = (term for axle in range(n) for term in _candidates(axle, reversals[axle], float(fastest[axle])))
     wide = Problem.pose(
         observation, partition, (*everywhere, *candidates), load, problem.prior_weight, keep=True, links=links

@@ -153,12 +153,12 @@ class Candidates:
         """
         points = poses if self._redundant else poses[:, :1]
         flat = points.reshape(-1, 4, 4)
-        near = np.tile(self.posture, (len(flat), 1))
+        seeds = np.tile(self.posture, (len(flat), 1))
         if isinstance(self.kinematics, NumericalKinematics) and self._redundant:
-            q, reachable = self.kinematics.nearest(flat, near)
-            q[~reachable], reachable[~reachable] = self.kinematics.find(flat[~reachable], near[~reachable])
+            q, reachable = self.kinematics.nearest(flat, seeds)
+            q[~reachable], reachable[~reachable] = self.kinematics.find(flat[~reachable], seeds[~reachable])
         else:
-            q, reachable = self.kinematics.find_on_branch(flat, near)
+            q, reachable = self.kinematics.find_on_branch(flat, seeds)
         reachable = reachable.reshape(points.shape[:2])
         refused = [
             None if reached.all() else self.kinematics.refusal(via_points[reached.argmin()], self.posture)
@@ -173,10 +173,10 @@ class Candidates:
         planned = [loop for loop in loops if isinstance(loop, Loop)]
         if not planned:
             return loops
-        poses, near = (
+        poses, seeds = (
             np.concatenate(parts) for parts in zip(*((loop.poses[1:], _passing(loop)) for loop in planned), strict=True)
         )
-        reachable = iter(self.kinematics.find(poses, near)[1].reshape(len(planned), -1))
+        reachable = iter(self.kinematics.find(poses, seeds)[1].reshape(len(planned), -1))
 
         def checked(loop: Loop) -> Loop | KinematicsError:
             reached = next(reachable)
@@ -298,9 +298,9 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
         return kinematics.solve(middle, kinematics.middle)  # with its message if there is none
     options = solutions.q[0, solutions.within_limits[0]]
     around = kinematics.inverse(edges)
-    near = np.array([_reached(kinematics, around.q, around.within_limits, option) for option in options])
+    reached = np.array([_reached(kinematics, around.q, around.within_limits, option) for option in options])
     away = np.linalg.norm(options - kinematics.middle, axis=1)
-    return options[np.lexsort((away, -near))[0]]
+    return options[np.lexsort((away, -reached))[0]]
 
 
 def _reached(kinematics: Kinematics, q: np.ndarray, allowed: np.ndarray, option: np.ndarray) -> int:

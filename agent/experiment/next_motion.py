@@ -225,8 +225,8 @@ def _refused(problem: LoopProblem) -> str:
     """The limit that most loops in the sub-region break."""
     genomes = np.random.default_rng(0).uniform(size=(LIMITS.fewest, problem.genes))
     candidates = Candidates(problem)
-    said = [loop.reason for loop in map(candidates.checked_loop, genomes) if isinstance(loop, LoopScore)]
-    return max(set(said), key=said.count) if said else "the last candidate took too long"
+    reasons = [loop.reason for loop in map(candidates.checked_loop, genomes) if isinstance(loop, LoopScore)]
+    return max(set(reasons), key=reasons.count) if reasons else "the last candidate took too long"
 
 
 class RunnablePieces:

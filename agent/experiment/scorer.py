@@ -189,11 +189,11 @@ def noise_level_on(dataset: Dataset, reference: NominalModel, motion: MotionSign
     turns = np.zeros(sigma.shape, dtype=bool)
     turns[1:] = motion.qd[1:] * motion.qd[:-1] < 0
     turns[:-1] |= turns[1:]
-    near = turns.copy()
+    around_turns = turns.copy()
     for shift in range(1, int(0.5 * LIMITS.row_correlation_time / float(np.median(np.diff(motion.time)))) + 1):
-        near[shift:] |= turns[:-shift]
-        near[:-shift] |= turns[shift:]
-    return np.where(near, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)
+        around_turns[shift:] |= turns[:-shift]
+        around_turns[:-shift] |= turns[shift:]
+    return np.where(around_turns, np.maximum(fit.sigma.max(axis=0), 2 * moving), sigma)
 
 
 def _thinned(motion: GridMotion) -> GridMotion:

@@ -120,7 +120,7 @@ def _work(
     failed: dict[str, dict[str, str]],
     console: Console,
 ) -> None:
-    kept = time.monotonic()
+    last_saved = time.monotonic()
     for number, done in enumerate(engine.map(run_task, todo), 1):
         task = todo[done.number]
         answer = done.answer or TaskRow({"status": "killed", "exit_code": 1, "reason": done.lost}, [])
@@ -135,9 +135,9 @@ def _work(
         if row["status"] != "ok":
             failed[task.run] = _failure(row)
         console.progress(f"{number} of {counted(len(todo), 'run')}, {len(failed)} without figures", number / len(todo))
-        if time.monotonic() - kept > _KEEP:
+        if time.monotonic() - last_saved > _KEEP:
             result.keep()
-            kept = time.monotonic()
+            last_saved = time.monotonic()
 
 
 def _row(task: Task, answer: dict[str, Any], inputs: list[dict[str, Any]]) -> dict[str, Any]:

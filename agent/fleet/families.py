@@ -93,8 +93,10 @@ def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Tren
     ]
     levels = false_discovery_control([family.level for family in tried]).tolist() if tried else []
     families = [replace(family, level=level) for family, level in zip(tried, levels, strict=True)]
-    kept = [family for family in families if family.level <= RATE and abs(family.change - family.others) >= PRACTICAL]
-    return sorted(kept, key=lambda family: family.level)
+    practical = [
+        family for family in families if family.level <= RATE and abs(family.change - family.others) >= PRACTICAL
+    ]
+    return sorted(practical, key=lambda family: family.level)
 
 
 def _tried(column: str, values: Mapping[str, str], joint: str, axles: Sequence[Trend]) -> Iterator[Family]:

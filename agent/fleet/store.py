@@ -161,8 +161,8 @@ class Store:
         except NotADirectoryError:
             raise InputError(f"{where}: a file is where a folder should be") from None
         except Exception as error:  # of the library that accesses the store
-            said = getattr(error, "strerror", None) or str(error) or type(error).__name__
-            raise StoreError(f"{where}: {said.splitlines()[0][:300]}") from None
+            reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
+            raise StoreError(f"{where}: {reason.splitlines()[0][:300]}") from None
 
 
 def _put_local(path: Path, content: bytes | Path) -> None:

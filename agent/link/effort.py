@@ -54,18 +54,18 @@ def check_effort(driver: Driver, robot: RobotDescription, tool: Tool | None, add
             "joint; move the arm to a stretched pose and run the command again to have it checked"
         )
     share = float(torque @ gravity / (gravity @ gravity))
-    said = f"while the arm is stationary it is {share:.2f} of the gravity torque of the description"
+    observation = f"while the arm is stationary it is {share:.2f} of the gravity torque of the description"
     if abs(share) < ABSENT:
         raise ControllerError(
-            f"{address}: the recipe says that effort is {driver.effort}, and {said}: gravity has been taken out of it, "
-            "as UR drivers do from 2026 on (use_currents_as_efforts), or it is a motor current. Without gravity it "
-            "identifies nothing: change that in the robot's driver, say effort: current, or effort: none to record the "
-            "motion alone"
+            f"{address}: the recipe says that effort is {driver.effort}, and {observation}: gravity has been taken out "
+            "of it, as UR drivers do from 2026 on (use_currents_as_efforts), or it is a motor current. Without gravity "
+            "it identifies nothing: change that in the robot's driver, say effort: current, or effort: none to record "
+            "the motion alone"
         )
     if not LOW <= share <= HIGH:
         raise ControllerError(
-            f"{address}: the recipe says that effort is {driver.effort}, and {said}: it is in another unit, or the "
-            "recipe's tool or the description's masses are not those of this arm. Is it a "
+            f"{address}: the recipe says that effort is {driver.effort}, and {observation}: it is in another unit, or "
+            "the recipe's tool or the description's masses are not those of this arm. Is it a "
             + (
                 "torque? Then say effort: torque"
                 if driver.effort == "current"

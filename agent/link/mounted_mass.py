@@ -73,17 +73,17 @@ def known_of(program: Path, text: str, payload: str | None, ask: Callable[[str],
     from agent.model import PAYLOAD, payload_of, payload_text
     from agent.recording import PARTS
 
-    said = None if payload is None else payload_text(payload_of(payload))
+    stated = None if payload is None else payload_text(payload_of(payload))
     plan = _plan_of(program, text)
     planned = planned_load(text) or plan.get(PAYLOAD)
-    if planned and said is None and ask(f"This motion was planned with {planned} at the flange. Is it mounted?"):
-        said = planned
-    if planned and said != planned:
+    if planned and stated is None and ask(f"This motion was planned with {planned} at the flange. Is it mounted?"):
+        stated = planned
+    if planned and stated != planned:
         raise InputError(
             f"{program}: this motion was planned with a known mass at the flange, {planned}"
-            f"{'' if said is None else f', not {said}'}: mount it, and say so with --payload '{planned}'"
+            f"{'' if stated is None else f', not {stated}'}: mount it, and say so with --payload '{planned}'"
         )
-    facts = {PAYLOAD: said, PARTS: plan.get(PARTS)}
+    facts = {PAYLOAD: stated, PARTS: plan.get(PARTS)}
     return {key: str(value) for key, value in facts.items() if value}
 
 

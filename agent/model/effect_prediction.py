@@ -48,6 +48,8 @@ def effect_torque(
         for joint, columns in effect.columns(signals, joints, settings).items():
             total[:, joint] += columns @ values
     if not np.all(np.isfinite(total)):
-        given = ", ".join(f"{name} {value:g}" for name, value in entry.parameters.items())
-        raise InputError(f"the model's effect {entry.effect} gives no finite torque with {given}: estimate it again")
+        parameters = ", ".join(f"{name} {value:g}" for name, value in entry.parameters.items())
+        raise InputError(
+            f"the model's effect {entry.effect} gives no finite torque with {parameters}: estimate it again"
+        )
     return total

@@ -281,8 +281,8 @@ class IdentifiedModel(RigidFrictionModel):
         robot = _robot(data["robot"])
         base, friction = data["base_parameters"], data["friction"]
         values = np.array([entry["value"] for entry in [*base, *friction]], dtype=float)  # null: not in the data
-        held = 0.0 if data.get("prior") is None else np.array(data["prior"]["mean"], dtype=float)
-        values = np.where(np.isnan(values), held, values)
+        prior_mean = 0.0 if data.get("prior") is None else np.array(data["prior"]["mean"], dtype=float)
+        values = np.where(np.isnan(values), prior_mean, values)
         condition = data["condition_number"]
         model = cls(
             robot=robot,

@@ -48,15 +48,15 @@ def regime_masks(
     magnitude, load, acceleration = np.abs(speed), np.abs(load), np.abs(acceleration)
     fastest = max(float(magnitude.max()), 1e-9)
     standing = magnitude <= slowest
-    near = np.zeros(len(speed), dtype=bool)
+    around_reversal = np.zeros(len(speed), dtype=bool)
     reach = int(_NEAR_REVERSAL * rate)
     for at in np.flatnonzero(np.diff(np.sign(speed)) != 0):
-        near[max(0, at - reach) : at + reach + 1] = True
+        around_reversal[max(0, at - reach) : at + reach + 1] = True
     low, high = float(q.min()), float(q.max())
     third = (high - low) / 3
     regions = (
         standing,
-        near & ~standing,
+        around_reversal & ~standing,
         (magnitude < _LOW * fastest) & ~standing,
         magnitude > _HIGH * fastest,
         load > np.quantile(load, _HIGH_QUANTILE),

@@ -98,11 +98,11 @@ def validate(
         InputError: a model or log that cannot be used, or (unless `allow_mixed`) logs of another machine.
     """
     known = _model(model)
-    given = read_logs(logs, known.robot)
-    if not given:
+    recorded = read_logs(logs, known.robot)
+    if not recorded:
         raise InputError("no logs were given, so there is nothing to validate on")
-    pipeline.check_one_machine(given, known, allow_mixed)
-    return TorqueValidation(tuple(predict_log(known, log, cutoff) for log in given))
+    pipeline.check_one_machine(recorded, known, allow_mixed)
+    return TorqueValidation(tuple(predict_log(known, log, cutoff) for log in recorded))
 
 
 def diagnose(
@@ -131,10 +131,10 @@ def diagnose(
         RejectedError: as in `estimate`.
     """
     description, reference = load_robot(robot), None if model is None else _model(model)
-    given = read_logs(logs, description)
-    pipeline.check_one_machine(given, reference, allow_mixed, payload_counts=True)
-    pipeline.check_plausible(description, given, force, quiet(), model=reference)
-    return GapDiagnosis(diagnosis.diagnose(description, given, reference, cutoff, without))
+    recorded = read_logs(logs, description)
+    pipeline.check_one_machine(recorded, reference, allow_mixed, payload_counts=True)
+    pipeline.check_plausible(description, recorded, force, quiet(), model=reference)
+    return GapDiagnosis(diagnosis.diagnose(description, recorded, reference, cutoff, without))
 
 
 def report(result: GapDiagnosis | TorqueValidation | Calibration | str | Path, out: str | Path | None = None) -> Path:

@@ -166,8 +166,8 @@ def _identifiers(sections: Sequence[Section]) -> list[str]:
 
 def _part(part: Table | Plot | Scene) -> dict[str, Any]:
     if isinstance(part, Table):
-        kept = [k for k in range(len(part.header)) if not any(isinstance(row[k], Bars) for row in part.rows)]
-        rows = [[_text(row[k]) for k in kept] for row in (part.header, *part.rows)]
+        columns = [k for k in range(len(part.header)) if not any(isinstance(row[k], Bars) for row in part.rows)]
+        rows = [[_text(row[k]) for k in columns] for row in (part.header, *part.rows)]
         csv = base64.b64encode(csv_text(rows).encode()).decode("ascii")
         return {"kind": "table", "part": part, "html": table_html(part), "csv": f"data:text/csv;base64,{csv}"}
     if isinstance(part, Plot):

@@ -118,12 +118,12 @@ def thinned(columns: np.ndarray, most: int = MOST_ROWS) -> np.ndarray:
         return np.arange(size)
     stretches = max(1, most // (4 * count))
     edges = np.linspace(0, size, stretches + 1).astype(int)
-    kept = set(np.linspace(0, size - 1, most // 2).astype(int).tolist())
+    indices = set(np.linspace(0, size - 1, most // 2).astype(int).tolist())
     for start, stop in pairwise(edges):
         part = columns[start:stop]
         safe = np.where(np.isfinite(part), part, 0.0)
-        kept.update((start + safe.argmin(axis=0)).tolist(), (start + safe.argmax(axis=0)).tolist())
-    return np.array(sorted(kept))
+        indices.update((start + safe.argmin(axis=0)).tolist(), (start + safe.argmax(axis=0)).tolist())
+    return np.array(sorted(indices))
 
 
 def for_screen(plot: Plot) -> Plot:
@@ -131,9 +131,9 @@ def for_screen(plot: Plot) -> Plot:
     if plot.x is None:
         return replace(plot, panels=[_part(panel, _kept([panel])) for panel in plot.panels])
     shared = [panel for panel in plot.panels if panel.x is None]
-    kept = _kept(shared)
-    panels = [_part(panel, kept if panel.x is None else _kept([panel])) for panel in plot.panels]
-    return replace(plot, x=plot.x[kept], panels=panels)
+    indices = _kept(shared)
+    panels = [_part(panel, indices if panel.x is None else _kept([panel])) for panel in plot.panels]
+    return replace(plot, x=plot.x[indices], panels=panels)
 
 
 def _kept(panels: Sequence[Panel]) -> np.ndarray:

@@ -21,7 +21,7 @@ def with_declared_effort(
     """
     check_effort(declared)
     meanings = [effort_of(log, declared) for log in logs]
-    for meaning in sorted({said for said in meanings if said is not None}):
+    for meaning in sorted({stated for stated in meanings if stated is not None}):
         these = [log for log, own in zip(logs, meanings, strict=True) if own == meaning]
         against = contradicted(robot, these, meaning)
         if against is None:

@@ -202,27 +202,27 @@ def fit_files(
 
 
 def fit_logs(
-    description: RobotDescription, given: Sequence[Log], question: FitQuestion, console: Console
+    description: RobotDescription, recorded: Sequence[Log], question: FitQuestion, console: Console
 ) -> tuple[IdentifiedModel, list[Log]]:
     """A model fitted to logs of one machine, and those that it was fitted to, without velocities.
 
     Args:
         description: of the arm.
-        given: logs of one machine.
+        recorded: logs of one machine.
         question: method, cut-off and structure.
         console: where progress and warnings are shown.
 
     Raises:
         InputError, RejectedError: as `check_one_machine`, `check_plausible` and `estimate`, or too little motion.
     """
-    bare = [log for log in given if not log.metadata.get(PAYLOAD)]
-    check_one_machine(given, None, question.allow_mixed, payload_counts=bool(bare))
-    logs, loaded = bare or list(given), [log for log in given if log.metadata.get(PAYLOAD)]
+    bare = [log for log in recorded if not log.metadata.get(PAYLOAD)]
+    check_one_machine(recorded, None, question.allow_mixed, payload_counts=bool(bare))
+    logs, loaded = bare or list(recorded), [log for log in recorded if log.metadata.get(PAYLOAD)]
     check_plausible(description, logs, question.force, console)
     say_spoiled(description, logs, console)
     # the fit needs neither, and they take much memory
     logs = [replace(log, velocity=None, planned_position=None) for log in logs]
-    del given, bare
+    del recorded, bare
     model = estimate(description, logs, EstimationSettings.create(cutoff=question.cutoff, method=question.method))
     doubts, usable = list(fitted_doubts(model, logs)), bool(np.all(np.diag(model.covariance) >= 0))
     if any(doubt.refuses for doubt in doubts) and not (question.force and usable):

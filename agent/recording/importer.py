@@ -58,9 +58,9 @@ def import_log(
     """
     if output.suffix != ".mcap":
         raise InputError(f"{output}: the log to write comes last and ends in .mcap")
-    given = None if isinstance(map_or_preset, str) else load_mapping(map_or_preset)
+    mapping_file = None if isinstance(map_or_preset, str) else load_mapping(map_or_preset)
     tables = [read_table(path) for path in inputs]
-    mapping, said = preset_map(str(map_or_preset), tables) if given is None else (given, [])
+    mapping, notes = preset_map(str(map_or_preset), tables) if mapping_file is None else (mapping_file, [])
     tables = tables_of_joints(mapping, tables)
     try:
         described = robot if isinstance(robot, RobotDescription) else robot(position_columns(mapping, tables))
@@ -70,7 +70,7 @@ def import_log(
         if mapping.entries.rows is None and len(mapping.entries.position.columns) == 1:
             raise InputError(f"{error}{one_joint_a_row(tables)}") from None
         raise
-    source.notes += said
+    source.notes += notes
     entries = mapping.entries
     if effort is not None:
         units = [] if entries.effort is None else [unit for unit in entries.effort.unit if unit in CURRENT | OF_NOMINAL]

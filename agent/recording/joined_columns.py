@@ -34,14 +34,14 @@ class TimedColumn:
         """(T,) at other times, as a bag's joints are joined: linear between samples, NaN where they are far apart."""
         after = np.clip(np.searchsorted(self.time, time), 1, len(self.time) - 1)
         around = np.where(time == self.time[after], 0.0, self.time[after] - self.time[after - 1])
-        near = (time >= self.time[0]) & (time <= self.time[-1])
-        near &= around <= JOINED * float(np.median(np.diff(self.time)))
+        covered = (time >= self.time[0]) & (time <= self.time[-1])
+        covered &= around <= JOINED * float(np.median(np.diff(self.time)))
         if self.numbers:
             values = np.interp(time, self.time, self.values)
         else:
             before = time - self.time[after - 1] < self.time[after] - time
             values = self.values[np.where(before, after - 1, after)]
-        return np.where(near, values, np.nan)
+        return np.where(covered, values, np.nan)
 
 
 def one_clock(columns: Sequence[TimedColumn]) -> bool:

@@ -181,14 +181,14 @@ class Source:
         assert self.mapping.entries.time is not None
         if slowest <= rate <= _FASTEST:
             return
-        slow, given = rate < slowest, self.mapping.entries.time.units()
+        slow, units_named = rate < slowest, self.mapping.entries.time.units()
         what = "too far for a motion" if slow else "too near for an arm"
         rows = f"rows are {1 / rate:.3g} s apart ({rate:.3g} Hz), {what}"
         if not slow and _SLOWEST <= mean <= _FASTEST:
             what = f"{rows}, with pauses in between: stamps of arrival? If the rows were sampled evenly, write rate: "
             self.mapping.fault("time", f"{what}{mean:.3g} Hz instead of time")
-        units = ", ".join(unit for unit in (("ms", "us", "ns") if slow else ("s", "ms")) if unit not in given)
-        self.mapping.fault("time.unit", f"{rows}: is {', '.join(given)} right, or is it {units}?")
+        units = ", ".join(unit for unit in (("ms", "us", "ns") if slow else ("s", "ms")) if unit not in units_named)
+        self.mapping.fault("time.unit", f"{rows}: is {', '.join(units_named)} right, or is it {units}?")
 
     def _check_late(self, time: np.ndarray, key: str) -> None:
         """Times (S,) [s] that no header holds become NaN, or raise InputError where they are more than a few."""
@@ -358,8 +358,8 @@ class Source:
                 what = f"{unit!r} is no unit of {quantity} for {joint.name} on the {side} side"
                 self.mapping.fault(f"{key}.unit", f"{what}; allowed are {', '.join(allowed)}")
             factors.append(allowed[unit])
-        given = zip(self._per_joint(f"{key}.scale", columns.scale), self.tables_of[key], strict=True)
-        scales = [self._scale(key, scale, table) for scale, table in given]
+        scales_and_tables = zip(self._per_joint(f"{key}.scale", columns.scale), self.tables_of[key], strict=True)
+        scales = [self._scale(key, scale, table) for scale, table in scales_and_tables]
         return raw * (np.array(scales) * np.array(factors))
 
     def _columns(
@@ -389,8 +389,8 @@ class Source:
         fault = self.mapping.fault
         tables = [table for table in self.tables if pattern is None or fnmatch(table.path.name, pattern)]
         if not tables:
-            given = ", ".join(table.path.name for table in self.tables)
-            fault(f"{key}.file", f"no input is named {pattern!r}; given were {given}")
+            inputs = ", ".join(table.path.name for table in self.tables)
+            fault(f"{key}.file", f"no input is named {pattern!r}; given were {inputs}")
         having = [table for table in tables if all(table.column(name) is not None for name in names)]
         if len(having) > 1 and key != "time":  # of several clocks the first is that of all that have none
             listed = ", ".join(table.path.name for table in having)
@@ -429,8 +429,8 @@ class Source:
     def _torque_constants(self, columns: EffortColumns) -> np.ndarray | None:
         """(n,) [N·m/A, motor side]; None where a known recorder's robot has none."""
         described = [np.nan if joint.torque_constant is None else joint.torque_constant for joint in self.robot.joints]
-        given = self._per_joint("effort.torque_constant", columns.torque_constant or described)
-        constants = np.array(given, dtype=float)
+        of_joints = self._per_joint("effort.torque_constant", columns.torque_constant or described)
+        constants = np.array(of_joints, dtype=float)
         if self.mapping.preset:
             constants = self._constants_of_file(columns, constants)
         if missing := self._missing(constants):

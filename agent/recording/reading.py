@@ -219,27 +219,27 @@ def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) ->
         return None
     base = min(ordered.values(), key=lambda table: len(table.stamp))
     first = min(table.first for table in ordered.values())
-    t, near = (base.stamp - first) / NANO, np.ones(len(base.stamp), bool)
+    t, covered = (base.stamp - first) / NANO, np.ones(len(base.stamp), bool)
     fields = [field for field in _FIELDS if all(field in table.arrays for table in ordered.values())]
     arrays = {field: np.empty((len(t), len(names))) for field in fields}
     for part, table in ordered.items():
         times = (table.stamp - first) / NANO
         after = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
         around = np.where(t == times[after], 0.0, times[after] - times[after - 1])
-        near &= (t >= times[0]) & (t <= times[-1]) & (around <= _JOINED * np.median(np.diff(times)))
+        covered &= (t >= times[0]) & (t <= times[-1]) & (around <= _JOINED * np.median(np.diff(times)))
         for field, values in arrays.items():
             for k, name in enumerate(part):
                 values[:, names.index(name)] = np.interp(t, times, table.arrays[field][:, k])
-    if np.count_nonzero(near) < 2:
+    if np.count_nonzero(covered) < 2:
         return None
     without = [name for part, table in ordered.items() if "effort" not in table.arrays for name in part]
     bare = tuple(name for name in names if name in without)
     listed = " + ".join(str(len(part)) for part in ordered)
     repairs = [repair for table in ordered.values() for repair in table.repairs]
-    repairs.append(Repair(f"joints in several messages ({listed}), joined by stamp; samples", 0.0, int(near.sum())))
+    repairs.append(Repair(f"joints in several messages ({listed}), joined by stamp; samples", 0.0, int(covered.sum())))
     if 0 < len(bare) < len(names):
         repairs.append(Repair(_without("effort", bare, names), 0.0, len(base.stamp)))
-    return _Table(first, base.stamp, arrays, tuple(repairs), bare).taken(np.flatnonzero(near), scratch)
+    return _Table(first, base.stamp, arrays, tuple(repairs), bare).taken(np.flatnonzero(covered), scratch)
 
 
 def _parts(groups: list[Messages], names: tuple[str, ...]) -> dict[tuple[str, ...], list[Messages]]:
@@ -290,8 +290,8 @@ def _in_radians(
         raise InputError(f"{path}: {error}") from None
     factors = np.array([1.0 if unit.factor is None else unit.factor for unit in units])
     arrays["position"] = arrays["position"] * factors
-    said = "; ".join(dict.fromkeys(f"{unit.name}: {unit.found}" for unit in units))
-    return (None if references is None else references * factors), {UNITS: said} | run
+    units_text = "; ".join(dict.fromkeys(f"{unit.name}: {unit.found}" for unit in units))
+    return (None if references is None else references * factors), {UNITS: units_text} | run
 
 
 def _nominal_rate(run: dict[str, str]) -> float | None:

@@ -70,10 +70,10 @@ class ColumnTable:
         return next(filter(None, matrices), [])
 
     def of_each(
-        self, marker: str | int, values: Sequence[float | str], kept: Sequence[str | int]
+        self, marker: str | int, values: Sequence[float | str], shared: Sequence[str | int]
     ) -> ColumnTable | None:
         """This table with a matrix instead of each column, such as q[pan], q[lift]: NaN but in rows whose `marker` has
-        the value. Columns in `kept` stay. None if there is no such marker, or no row with one of the values.
+        the value. Columns in `shared` stay. None if there is no such marker, or no row with one of the values.
         """
         if (name := self.name(marker)) is None:
             return None
@@ -83,7 +83,7 @@ class ColumnTable:
             return None
         columns = dict[str, np.ndarray]()
         for title, column in self.columns.items():
-            if title in [name, *map(self.name, kept)]:
+            if title in [name, *map(self.name, shared)]:
                 columns[title] = column
             else:
                 columns |= {f"{title}[{value}]": np.where(own, column, np.nan) for value, own in rows.items()}

@@ -43,9 +43,9 @@ def robot_lock(driver: str, address: str) -> Iterator[None]:
         BusyError: another run holds it.
         AgentError: no lock can be made.
     """
-    with contextlib.ExitStack() as held:
+    with contextlib.ExitStack() as locks:
         for endpoint in endpoints(driver, address):
-            held.enter_context(_locked(endpoint, f"{driver} {place_of(address)}"))
+            locks.enter_context(_locked(endpoint, f"{driver} {place_of(address)}"))
         yield
 
 

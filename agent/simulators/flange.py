@@ -75,11 +75,11 @@ def flange_of(robot: RobotDescription, wanted: str | None = None) -> Flange:
 
 def _fixed_beyond(robot: RobotDescription) -> list[str]:
     """Links that fixed joints hold to the link of the last joint, nearest first."""
-    held: dict[str, list[str]] = {}
+    children: dict[str, list[str]] = {}
     for joint in ElementTree.fromstring(robot.urdf).findall("joint"):
         if joint.get("type") == "fixed":
-            held.setdefault(end_of(joint, "parent"), []).append(end_of(joint, "child"))
+            children.setdefault(end_of(joint, "parent"), []).append(end_of(joint, "child"))
     frames = [moved_links(robot)[-1]]
     for frame in frames:
-        frames += [child for child in held.get(frame, ()) if child not in frames]
+        frames += [child for child in children.get(frame, ()) if child not in frames]
     return frames[1:]

@@ -155,8 +155,8 @@ class FreeSimulator:
         self.model = model = compiled(arm.path, arm.excluded)
         self._at = np.array([int(model.joint(name).qposadr[0]) for name in arm.file_joints])
         self._dof = np.array([int(model.joint(name).dofadr[0]) for name in arm.file_joints])
-        held = np.setdiff1d(np.arange(model.nv), self._dof)
-        model.dof_armature[held] = _HOLD * max(float(model.body_mass.sum()), 1.0)
+        locked = np.setdiff1d(np.arange(model.nv), self._dof)
+        model.dof_armature[locked] = _HOLD * max(float(model.body_mass.sum()), 1.0)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         others = np.setdiff1d(np.arange(model.nu), self.servos.actuators)
         model.actuator_gainprm[others] = model.actuator_biasprm[others] = 0.0
@@ -283,7 +283,7 @@ class FreeSimulator:
             return None
         torque = self._servos(numbers).torque(asked, place[:-1], speed[:-1])
         low, high = self.servos.low, self.servos.high
-        held = np.abs(speed[:-1]) < numbers.friction / np.maximum(self.creep * self._inertia(numbers, data), 1e-12)
+        sticking = np.abs(speed[:-1]) < numbers.friction / np.maximum(self.creep * self._inertia(numbers, data), 1e-12)
         return FreeMotion(
             time,
             place[:-1],
@@ -291,7 +291,7 @@ class FreeSimulator:
             np.diff(speed, axis=0) / self.step,
             np.clip(torque, low, high),
             asked,
-            held,
+            sticking,
             (torque >= high) | (torque <= low),
         )
 

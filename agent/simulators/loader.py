@@ -79,13 +79,13 @@ def load_simulator(
             f"{path}: robot {robot.name} has joints {', '.join(robot.joint_names)}; {how}. Leave --robot out to "
             "compare those that there are, or match them with --map"
         )
-    description, said = described(arm, robot)
+    description, remarks = described(arm, robot)
     provenance: dict[str, object] = {"simulator": path.name, "sha256": hashlib.sha256(text).hexdigest()}
     model = model_of(arm, description, provenance)
     uncompared = [name for name in wanted if name not in arm.joint_names]
     why = "the file has no such joint" if names is None else "the map leaves it out"
     ignored = (f"not compared of the logs: {', '.join(uncompared)} ({why})",) if uncompared else ()
-    return Simulator(arm, model, robot, (*arm.notes, *said, *ignored))
+    return Simulator(arm, model, robot, (*arm.notes, *remarks, *ignored))
 
 
 def load_arm_of(path: Path, columns: Sequence[str]) -> RobotDescription:

@@ -79,12 +79,14 @@ def compiled(path: Path, excluded: Sequence[tuple[str, str]] = ()) -> Any:
     mujoco = mujoco_package()
     with tempfile.TemporaryDirectory(prefix="calibration-agent-") as folder:
         place = Path(folder) / "arm.mjb"
-        said = _compile_apart(path, place, excluded)
+        complaint = _compile_apart(path, place, excluded)
         if not place.is_file():
             missing = (
-                ". Files that it includes, meshes too, belong where it names them" if "opening file" in said else ""
+                ". Files that it includes, meshes too, belong where it names them"
+                if "opening file" in complaint
+                else ""
             )
-            raise InputError(f"{path}: MuJoCo does not accept it: {said}{missing}")
+            raise InputError(f"{path}: MuJoCo does not accept it: {complaint}{missing}")
         return mujoco.MjModel.from_binary_path(str(place))
 
 
@@ -270,13 +272,13 @@ class _Scene:
         """Notes on what was held or left out."""
         model, link_of = self.model, self.link_of
         others = [j for j in range(model.njnt) if j not in self.chosen]
-        for on_arm, said in (
+        for on_arm, remark in (
             (True, "held where the file starts it: not among the joints compared"),
             (False, "ignored: no part of the arm"),
         ):
             names = [model.joint(j).name or "(no name)" for j in others if (link_of[model.jnt_bodyid[j]] > 0) == on_arm]
             if names:
-                yield f"{', '.join(names)} {said}"
+                yield f"{', '.join(names)} {remark}"
         if np.any(model.body_gravcomp[link_of > 0]):
             yield "gravcomp is ignored: a robot's measured torque carries its weight"
         if model.opt.density or model.opt.viscosity:

@@ -42,7 +42,7 @@ def read_urdf(path: Path, root: Element, match: Match, gravity: tuple[float, flo
             f"{path}: joint {floating[0]!r} is {elements[floating[0]].get('type')}: a fixed base is needed"
         )
     chain = _chain(path, root, used)
-    held = [name for name in movable if name not in used]
+    locked = [name for name in movable if name not in used]
     joints = [elements[name] for name in chain]
     for name, element in elements.items():
         element.set("name", used.get(name, name))
@@ -78,7 +78,7 @@ def read_urdf(path: Path, root: Element, match: Match, gravity: tuple[float, flo
         stiffness=np.zeros(len(chain)),
         rest=np.zeros(len(chain)),
         carrying=tuple(_carrying(root, joint, set(used.values())) for joint in joints),
-        notes=(f"{listed(held)} held at zero: not among the joints compared",) if held else (),
+        notes=(f"{listed(locked)} held at zero: not among the joints compared",) if locked else (),
     )
 
 

@@ -88,8 +88,8 @@ class Comparison:
         """The inverse of `to_dict`, from JSON."""
         motion, joints, *arrays = (data["torque"][field.name] for field in fields(TorqueChange))
         torque = TorqueChange(motion, tuple(joints), *(np.array(values, dtype=float) for values in arrays))
-        kept = [field.name for field in fields(ParameterChange)]
-        parameters = tuple(ParameterChange(**{key: entry[key] for key in kept}) for entry in data["parameters"])
+        names = [field.name for field in fields(ParameterChange)]
+        parameters = tuple(ParameterChange(**{key: entry[key] for key in names}) for entry in data["parameters"])
         only_before, only_after = tuple(data["only_before"]), tuple(data["only_after"])
         machines = tuple(data.get("machines", ()))
         return cls(data["before"], data["after"], parameters, only_before, only_after, torque, machines)
@@ -134,12 +134,12 @@ def compare_models(
     """
     places = [{name: k for k, name in enumerate(model.names)} for model in (before, after)]
     deviation = _change_deviations(before, after)
-    kept = set(after.names[: len(after.independent)]) if _share_base(before, after) else set()
+    shared = set(after.names[: len(after.independent)]) if _share_base(before, after) else set()
     units = [row[4] for row in after.rows()[1:]]
     changes = tuple(
         ParameterChange(name, units[k], float(before.values[places[0][name]]), float(after.values[k]), deviation[name])
         for name, k in places[1].items()
-        if name in places[0] and name not in kept
+        if name in places[0] and name not in shared
     )
     difference, uncertainty = _torque_difference(before, after, log.middle_part())
     rmse = np.sqrt(np.mean(difference**2, axis=0))

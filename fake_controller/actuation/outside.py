@@ -70,8 +70,8 @@ class WanderingTorque(JointEffect):
     def torque(self, position: float, velocity: float, dt: float) -> float:
         if not self._drawn:
             self._drawn = self._rng.standard_normal(4096).tolist()
-        kept = exp(-dt / self.memory)
-        self._value = kept * self._value + sqrt(1.0 - kept * kept) * self.amplitude * self._drawn.pop()
+        decay = exp(-dt / self.memory)
+        self._value = decay * self._value + sqrt(1.0 - decay * decay) * self.amplitude * self._drawn.pop()
         return self._value
 
 

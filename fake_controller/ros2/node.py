@@ -132,7 +132,7 @@ class Ros2Server:
         place, cell = self._place, self.cell
         node = Node(place.controller, namespace=place.namespace, context=self.context)
         tolerances = {f"constraints.{name}.trajectory": cell.tolerance for name in cell.robot.joint_names}
-        given: dict[str, Any] = {
+        parameters: dict[str, Any] = {
             "joints": list(cell.robot.joint_names),
             "command_interfaces": ["position"],
             "state_interfaces": ["position", "velocity"],
@@ -144,7 +144,7 @@ class Ros2Server:
             "emulated_by_calibration_agent": cell.state.emulator,
             **tolerances,
         }
-        for name, value in given.items():
+        for name, value in parameters.items():
             node.declare_parameter(name, value)
         self._states = node.create_publisher(JointState, place.name(JOINT_STATES), 10)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

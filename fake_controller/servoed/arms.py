@@ -110,11 +110,11 @@ class DrawnArm:
 
     def mjcf(self) -> str:
         """The file that a user of MuJoCo has of the arm without effects."""
-        said, delay = self.numbers, round(self.late + self.lag, 4)
+        numbers, delay = self.numbers, round(self.late + self.lag, 4)
         late = f'delay="{delay}" nsample="{int(np.ceil(delay / _STEP)) + 1}"'
         bodies, servos = [], []
         for k, name in enumerate(self.names):
-            armature, friction, damping = (said[kind][k] for kind in ("armature", "friction", "damping"))
+            armature, friction, damping = (numbers[kind][k] for kind in ("armature", "friction", "damping"))
             low, high = self.start[k] - self.half[k], self.start[k] + self.half[k]
             bodies += [
                 f'<body name="link_{k + 1}" pos="{_row(self.origin[k])}">',

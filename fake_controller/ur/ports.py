@@ -211,8 +211,8 @@ class DashboardConnection(UrConnection):
         since, answer = _ANSWERS.get(word, ((99,), None))
         if answer is None or cell.version < since:
             return f"Could not understand: '{command}'"
-        said = answer(cell) if callable(answer) else answer
-        return said.format(command.removeprefix(word))
+        reply = answer(cell) if callable(answer) else answer
+        return reply.format(command.removeprefix(word))
 
 
 def _power(cell: UrCell, on: bool) -> str:

@@ -116,16 +116,16 @@ class RtdeConnection(UrConnection):
         if not names or len(payload) != 1 + layout.itemsize:
             raise ValueError
         (row,) = np.frombuffer(payload[1:], layout)
-        given = dict(zip(names, (row[k].tolist()[0] for k in range(len(names))), strict=True))
-        for name, value in given.items():
+        inputs = dict(zip(names, (row[k].tolist()[0] for k in range(len(names))), strict=True))
+        for name, value in inputs.items():
             if (register := register_of(name)) is not None:
                 self.cell.registers[register[0]][register[1]] = value
             elif name.startswith("input_bit_registers"):
                 first = int(name[19:].partition("_")[0])
                 self.cell.registers["input_bit"][first : first + 32] = [bool(value >> k & 1) for k in range(32)]
             self.cell.updated(name)
-        if given.get("speed_slider_mask"):
-            self.cell.state.override = min(max(float(given["speed_slider_fraction"]), 0.0), 1.0)
+        if inputs.get("speed_slider_mask"):
+            self.cell.state.override = min(max(float(inputs["speed_slider_fraction"]), 0.0), 1.0)
 
     def on_cycles(self, cycles: Cycles) -> None:
         first = -self._counted % self._every

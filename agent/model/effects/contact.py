@@ -462,10 +462,10 @@ def _around(push: PushedWindow, motions: Motions) -> tuple[np.ndarray, np.ndarra
         if signals.log_index != push.log:
             continue
         time = signals.time[signals.kept]
-        near = np.abs(time - push.start - 0.5 * push.duration) < 2 * push.duration
+        window = np.abs(time - push.start - 0.5 * push.duration) < 2 * push.duration
         rows = np.zeros(len(signals.time), dtype=bool)
-        rows[signals.kept] = near
-        parts.append((time[near], -signals.pushed(push.link, rows) / sigma[near, None], (residual / sigma)[near]))
+        rows[signals.kept] = window
+        parts.append((time[window], -signals.pushed(push.link, rows) / sigma[window, None], (residual / sigma)[window]))
     time, columns, error = (np.concatenate(part) for part in zip(*parts, strict=True))
     return time, columns, error
 

@@ -109,8 +109,8 @@ class TwoMass(Effect):
         for factor in _NEIGHBOURS:
             if gain < _PROMISING * energy * len(columns) or (context.given and energy <= 1):
                 break
-            near = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
-            best, gain = self._best(context, k, near, on_joint(context, k, near))
+            neighbours = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
+            best, gain = self._best(context, k, neighbours, on_joint(context, k, neighbours))
         return best
 
     def _best(

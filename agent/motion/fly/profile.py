@@ -46,15 +46,15 @@ class ArmLimits:
             for joint in robot.joints
         ]
         tcp = robot.cartesian_limits or CartesianLimits(np.inf, np.inf, np.inf, np.inf)
-        kept = 1.0 if parameters.ramps == "blocks" else _KEPT  # which keep their limits to the last digit
-        part = kept * parameters.acceleration
+        share = 1.0 if parameters.ramps == "blocks" else _KEPT  # which keep their limits to the last digit
+        part = share * parameters.acceleration
         cartesian = CartesianLimits(
-            kept * tcp.linear_speed,
+            share * tcp.linear_speed,
             part * tcp.linear_acceleration,
-            kept * tcp.rotational_speed,
+            share * tcp.rotational_speed,
             part * tcp.rotational_acceleration,
         )
-        return cls(kept * robot.max_velocity, part * robot.max_acceleration, kept * np.array(jerk), cartesian)
+        return cls(share * robot.max_velocity, part * robot.max_acceleration, share * np.array(jerk), cartesian)
 
 
 @dataclass(frozen=True, eq=False)

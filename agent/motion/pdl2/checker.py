@@ -51,22 +51,22 @@ def check(program: syntax.ProgramTree) -> Scope:
 
 
 def _check_header(program: syntax.ProgramTree) -> None:
-    given: dict[str, syntax.Attribute] = {}
+    attributes: dict[str, syntax.Attribute] = {}
     for attribute in program.attributes:
         name = attribute.word.upper()
-        if name not in _ATTRIBUTES or name in given:
+        if name not in _ATTRIBUTES or name in attributes:
             known = ", ".join(_ATTRIBUTES)
             raise Pdl2Error(f"is given twice or is not an attribute known here ({known})", attribute.place)
-        given[name] = attribute
+        attributes[name] = attribute
         allowed = _ATTRIBUTES[name]
         if (allowed is None) != (attribute.value is None):
             raise Pdl2Error("takes no value" if allowed is None else "takes '=' and an integer", attribute.place)
         if allowed and attribute.value and not allowed[0] <= int(attribute.value.value) <= allowed[1]:
             raise Pdl2Error(f"{name} is in {allowed[0]}..{allowed[1]} here", attribute.value.place)
-    if {"HOLD", "NOHOLD"} <= given.keys():
+    if {"HOLD", "NOHOLD"} <= attributes.keys():
         raise Pdl2Error("a program is HOLD or NOHOLD, not both", program.attributes[-1].place)
-    if "NOHOLD" in given:
-        raise Pdl2Error("a NOHOLD program cannot move the arm; write HOLD", given["NOHOLD"].place)
+    if "NOHOLD" in attributes:
+        raise Pdl2Error("a NOHOLD program cannot move the arm; write HOLD", attributes["NOHOLD"].place)
     if program.end.lower() != program.name:
         raise Pdl2Error(f"END names the program, which is {program.word}", place_of(program.end))
 
@@ -151,9 +151,9 @@ def _check_move(statement: syntax.MoveStatement, memory: Memory) -> None:
             raise Pdl2Error(f"VIA belongs to a CIRCULAR move, not to {statement.trajectory}", statement.via.place)
     elif statement.trajectory == "CIRCULAR":
         raise Pdl2Error("a CIRCULAR move needs VIA and a point", statement.place)
-    given: set[str] = set()
+    names: set[str] = set()
     for setting in statement.settings:
         setting_value(setting, setting.value, memory)
-        if setting.name in given:
+        if setting.name in names:
             raise Pdl2Error("is set twice in this move", setting.place)
-        given.add(setting.name)
+        names.add(setting.name)

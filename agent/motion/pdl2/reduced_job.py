@@ -96,13 +96,13 @@ def job_text(
     except Pdl2Error as error:
         raise error.within(path) from None
     while True:
-        kept = "\n".join(sieve.out)
+        reduced = "\n".join(sieve.out)
         try:
-            parse_program(kept, path, robot)
+            parse_program(reduced, path, robot)
         except Pdl2Error as error:
             if sieve.passes_over(error.place):
                 continue
-        return kept, dict(sieve.passed)  # if something in it still is not understood, reading it says where
+        return reduced, dict(sieve.passed)  # if something in it still is not understood, reading it says where
 
 
 def _read_listing(text: str) -> dict[str, Listed]:

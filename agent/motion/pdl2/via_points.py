@@ -83,8 +83,8 @@ def _point(
     if move.fly and (settings.fly_type, settings.fly_trajectory) != (FlyType.FLY_CART, FlyTrajectory.FLY_TOL):
         raise InputError(_cannot(name, move, "FLY_CART with FLY_TOL"))
     if isinstance(move.target, CartesianTarget):
-        near = chain.q[np.flatnonzero(chain.move == index)[-1]]
-        position = kinematics_for(robot, tool).solve(pose_in_robot_base(move.target, move.settings), near)
+        seed = chain.q[np.flatnonzero(chain.move == index)[-1]]
+        position = kinematics_for(robot, tool).solve(pose_in_robot_base(move.target, move.settings), seed)
     else:
         position = np.asarray(move.target.position, dtype=float)
     speed = settings.linear_speed * settings.speed_override * settings.arm_override

@@ -171,8 +171,8 @@ class _Writer:
             declarations += [f"{', '.join(names[k : k + 12])} : {kind} FOR ARM[1]" for k in range(0, len(names), 12)]
         declared = ["VAR", *(f"  {declaration}" for declaration in declarations)] if declarations else []
         start = [f"  {self.point(target)} := {_target(target, self.robot)}" for target in self.points]
-        said = [variable for variable in self.variables if getattr(self.globals, str(variable.field)) is not None]
-        start += [f"  {variable.name} := {_value(variable, self.globals)}" for variable in said]
+        assigned = [variable for variable in self.variables if getattr(self.globals, str(variable.field)) is not None]
+        start += [f"  {variable.name} := {_value(variable, self.globals)}" for variable in assigned]
         start[-1] = start[-1].replace("$", _ARM_DATA)
         start += [f"  {override.replace('$', _ARM_DATA)} := 100" for override in _MULTIPLIED]
         text = "\n".join([f"PROGRAM {name} HOLD, PROG_ARM=1", *declared, "BEGIN", *start, *lines, f"END {name}", ""])

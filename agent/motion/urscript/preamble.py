@@ -173,10 +173,10 @@ def _check(line: ScriptLine, routines: set[str]) -> None:
         header = HEADER.match(line.text)
         if header is None:
             raise ValueError("a function needs a name and parentheses")
-        given = [argument.partition("=") for argument in header[2].split(",")] if header[2].strip() else []
-        for name in (header[1], *(argument[0].strip() for argument in given)):
+        parameters = [argument.partition("=") for argument in header[2].split(",")] if header[2].strip() else []
+        for name in (header[1], *(argument[0].strip() for argument in parameters)):
             _check_name(name)
-        for argument in given:
+        for argument in parameters:
             _check_expression(parsed(argument[2] or "0"))
     elif line.word.startswith("set "):
         if line.word[4:] in routines:

@@ -221,42 +221,42 @@ class _ScriptRun:
         name = tree.func.id
         if STILL.fullmatch(name):
             return
-        given = [self._evaluated(argument) for argument in tree.args]
+        positional = [self._evaluated(argument) for argument in tree.args]
         named = {str(argument.arg): self._evaluated(argument.value) for argument in tree.keywords}
         if name in self._defined:
             routine, around = self._defined[name]
             header = HEADER.match(routine.text)
             assert header is not None
             parameters = [argument.partition("=")[0].strip() for argument in header[2].split(",") if argument.strip()]
-            caller, self._values = self._values, around.new_child(_arguments(parameters, given, named))
+            caller, self._values = self._values, around.new_child(_arguments(parameters, positional, named))
             yield from self.block(routine.block, depth + 1)
             self._values = caller
         elif name == "sleep":
-            seconds = _number(given[0], least=0.0)
+            seconds = _number(positional[0], least=0.0)
             self._waited += seconds
             if self._waited > LONGEST and not self._program.lenient:
                 raise ValueError(f"the program sleeps for more than {LONGEST:g} s up to here; run it in parts")
             yield Delay(seconds)
         elif name == "set_tcp":
-            self._settings = self._settings.changed(tool=frame_of(given[0]))
+            self._settings = self._settings.changed(tool=frame_of(positional[0]))
         elif name in ("set_payload", "set_target_payload"):
-            centre = given[1] if len(given) > 1 else matrix_of(self._settings.tool)[:3, 3]
-            self._settings = self._settings.changed(load=(_number(given[0], least=0.0), *map(_number, centre)))
+            centre = positional[1] if len(positional) > 1 else matrix_of(self._settings.tool)[:3, 3]
+            self._settings = self._settings.changed(load=(_number(positional[0], least=0.0), *map(_number, centre)))
         elif name in ("movej", "movel", "movep", "movec"):
-            yield self._move(name, given, named, line.number)
+            yield self._move(name, positional, named, line.number)
         else:
             raise ValueError(f"the function {name} is not understood")
 
-    def _move(self, name: str, given: list[Any], named: dict[str, Any], line: int) -> Move:
-        said = _arguments(_PARAMETERS[name], given, named)
-        via, goal = said.get("pose_via"), said[_PARAMETERS[name][1 if name == "movec" else 0]]
-        if said.get("t") and not self._program.lenient:
+    def _move(self, name: str, positional: list[Any], named: dict[str, Any], line: int) -> Move:
+        arguments = _arguments(_PARAMETERS[name], positional, named)
+        via, goal = arguments.get("pose_via"), arguments[_PARAMETERS[name][1 if name == "movec" else 0]]
+        if arguments.get("t") and not self._program.lenient:
             raise ValueError("a move in a given time is not understood; give a= and v=")
-        radius = _number(said.get("r", 0.0), least=0.0)
+        radius = _number(arguments.get("r", 0.0), least=0.0)
         settings = self._settings.changed(fly_distance=radius)
         joint = name == "movej"
-        speed = _number(said.get("v", JOINT_SPEED if joint else LINEAR_SPEED), above=0.0)
-        acceleration = _number(said.get("a", JOINT_ACCELERATION if joint else LINEAR_ACCELERATION), above=0.0)
+        speed = _number(arguments.get("v", JOINT_SPEED if joint else LINEAR_SPEED), above=0.0)
+        acceleration = _number(arguments.get("a", JOINT_ACCELERATION if joint else LINEAR_ACCELERATION), above=0.0)
         if joint:
             settings = settings.changed(joint_speed=speed, joint_acceleration=acceleration)
         else:
@@ -364,12 +364,12 @@ def _element(values: Any, index: Any) -> Any:
     return values[index]
 
 
-def _arguments(names: Sequence[str], given: list[Any], named: dict[str, Any]) -> dict[str, Any]:
+def _arguments(names: Sequence[str], positional: list[Any], named: dict[str, Any]) -> dict[str, Any]:
     """Values by the names of parameters.
 
     Raises:
         ValueError: more values than parameters, or a name that there is not.
     """
-    if len(given) > len(names) or not set(named) <= set(names[len(given) :]):
+    if len(positional) > len(names) or not set(named) <= set(names[len(positional) :]):
         raise ValueError(f"takes {', '.join(names) or 'no argument'}")
-    return dict(zip(names, given, strict=False)) | named
+    return dict(zip(names, positional, strict=False)) | named

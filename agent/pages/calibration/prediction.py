@@ -63,11 +63,11 @@ def error_table(rmse: np.ndarray, nominal: np.ndarray, names: Sequence[str], gat
     ):
         quantiles = np.quantile(column, (0.0, 0.25, 0.5, 0.75, 1.0)).tolist()
         _, low, half, high, most = quantiles
-        near = column[(column >= low - 1.5 * (high - low)) & (column <= high + 1.5 * (high - low))]
-        far = np.setdiff1d(column, near).tolist()
+        usual = column[(column >= low - 1.5 * (high - low)) & (column <= high + 1.5 * (high - low))]
+        far = np.setdiff1d(column, usual).tolist()
         unit = "%" if has else "N·m"
         bars = [
-            Bar(near.min(initial=low), near.max(initial=high), _INK, 0.45, 0.1),
+            Bar(usual.min(initial=low), usual.max(initial=high), _INK, 0.45, 0.1),
             Bar(low, high, SERIES[0]),
             *(Bar(place, place + 0.01 * most, SERIES[3], 0.35, 0.3) for place in far),
         ]

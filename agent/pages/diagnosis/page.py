@@ -98,8 +98,8 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep], result
         if dataset.given
         else "What do these motions show that links and friction cannot explain?"
     )
-    said = summary(result)
-    facts = [(title, said[key]) for key, title in SUMMARY_KEYS.items() if key != "next"]
+    texts = summary(result)
+    facts = [(title, texts[key]) for key, title in SUMMARY_KEYS.items() if key != "next"]
     marked = result["causes"][0]["joints"] if result["causes"] else []
     posture = logs[0].position[len(logs[0].position) // 2]
     picture = arm_picture(dataset.robot, posture, marked) if marked else ""

@@ -147,8 +147,8 @@ def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Con
         KeyError: the run does not say what was asked.
     """
     asked = read_json(run / "state.json")["question"]
-    kept = [path if path.exists() else None for path in (run / _SIMULATOR, run / _DRIVES_OFF)]
-    question = GapQuestion(model=kept[0], cutoff=asked["cutoff"], without=tuple(asked["without"]), drives_off=kept[1])
+    files = [path if path.exists() else None for path in (run / _SIMULATOR, run / _DRIVES_OFF)]
+    question = GapQuestion(model=files[0], cutoff=asked["cutoff"], without=tuple(asked["without"]), drives_off=files[1])
     recorded = read_json(run / "result.json")
     # the log of a round that was cut short does not count in the result
     further = [Path(round_["program"]).stem for round_ in recorded.get("rounds", ()) if round_.get("verdict")]

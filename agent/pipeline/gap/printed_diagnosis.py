@@ -20,10 +20,10 @@ _WIDEST = 60  # characters of a step of the attribution in a line
 
 def diagnosis_text(result: dict[str, Any]) -> str:
     """A diagnosis for people: the four things of the page's first screen, then the figures."""
-    said = result.get("summary") or summary(result)
+    texts = result.get("summary") or summary(result)
     lines = [f"{'Verdict':10}{verdict_name(result)}"]
-    lines += [_wrapped(f"{title:10}{said[key]}") for key, title in SUMMARY_KEYS.items() if key != "next"]
-    lines += [*_next_lines(said), ""]
+    lines += [_wrapped(f"{title:10}{texts[key]}") for key, title in SUMMARY_KEYS.items() if key != "next"]
+    lines += [*_next_lines(texts), ""]
     for cause in result["causes"]:
         sizes: list[list[str]] = []
         for key in reported_parameters(cause):
@@ -78,8 +78,8 @@ def planned_text(result: dict[str, Any]) -> str:
     return "\n".join([*_planned_lines(result), *_next_lines(result["summary"])])
 
 
-def _next_lines(said: dict[str, Any]) -> Iterator[str]:
-    for number, step in enumerate(said["next"]):
+def _next_lines(texts: dict[str, Any]) -> Iterator[str]:
+    for number, step in enumerate(texts["next"]):
         yield f"{'' if number else 'Next':10}{step}"
 
 

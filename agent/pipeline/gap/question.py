@@ -79,7 +79,7 @@ class GapQuestion:
         words += [word for effect in self.without for word in ("--without", effect)]
         words += [word for number in self.known for word in ("--known", number)]
         flags = {"--allow-mixed": self.allow_mixed, "--force": self.force}
-        return [*words, *(flag for flag, given in flags.items() if given)]
+        return [*words, *(flag for flag, is_set in flags.items() if is_set)]
 
     def check(self, logs: Sequence[Path]) -> None:
         """Refuse what makes no sense before the work, and before anything moves.

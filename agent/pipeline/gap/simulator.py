@@ -36,11 +36,11 @@ def check_simulator_out(model: Path | None, out: Path, inputs: Sequence[Path]) -
     wanted = _FORMATS.get(out.suffix.lower())
     if wanted is None:
         return
-    given = None if model is None else _FORMATS.get(model.suffix.lower())
-    if given != wanted:
+    file_format = None if model is None else _FORMATS.get(model.suffix.lower())
+    if file_format != wanted:
         raise InputError(
             f"{out}: to write {wanted}, --model has to be one too; here it is "
-            f"{given or ('none' if model is None else 'a model file')}. Write a model file (-o model.json) and "
+            f"{file_format or ('none' if model is None else 'a model file')}. Write a model file (-o model.json) and "
             "convert it with agent export"
         )
     for path in (*written_files(out), _ranges_file(out)):

@@ -39,8 +39,8 @@ _QUANTITIES = {
 }
 
 
-def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
-    """Write a commented recipe and the schema next to it; asks on a terminal for what is not `given`.
+def write_recipe(path: Path, options: dict[str, str | None]) -> Path:
+    """Write a commented recipe and the schema next to it; asks on a terminal for what `options` leave out.
 
     Where no robot is given and the controller describes its own, that description is written next to the recipe too.
 
@@ -53,16 +53,16 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
     check_output(path, ())
     on_terminal = sys.stdin.isatty() and sys.stderr.isatty()
     for name in _QUESTIONS:
-        if (value := given.get(name)) is not None:
+        if (value := options.get(name)) is not None:
             try:
                 _check(name, value)
             except InputError as error:
                 raise InputError(f"--{name} {value}: {error}") from None
-    given = given | {"robot": given.get("robot") or _robot_there(path.parent, given)}
+    options = options | {"robot": options.get("robot") or _robot_there(path.parent, options)}
     answers: dict[str, str] = {}
     box: dict[str, str] | None = None
     for name, words in _QUESTIONS.items():
-        value, default = given.get(name), USUAL["address" if name == "controller" else name]
+        value, default = options.get(name), USUAL["address" if name == "controller" else name]
         if name in _QUANTITIES:
             box = _box_of(answers["robot"]) if box is None else box
             default = box.get(name, default)
@@ -81,10 +81,10 @@ def write_recipe(path: Path, given: dict[str, str | None]) -> Path:
     return path
 
 
-def _robot_there(folder: Path, given: dict[str, str | None]) -> str | None:
+def _robot_there(folder: Path, options: dict[str, str | None]) -> str | None:
     """The description of the robot that the given controller drives, written to the folder as it says; None where it
     is not given, or drives no robot that it could describe."""
-    name, address = given.get("driver"), given.get("controller")
+    name, address = options.get("driver"), options.get("controller")
     if name is None or address is None or name not in available():
         return None
     driver = create(name, address)

@@ -119,8 +119,8 @@ def _long_enough(recorded: Recorded) -> Recorded:
     if not taken:
         raise InputError(f"{recorded.path}: no episode has {_FEWEST_FRAMES} frames with a number for every joint")
     short = len(recorded.episodes) - len(taken)
-    said = (f"{counted(short, 'episode')} of less than {_FEWEST_FRAMES} frames left out",) if short else ()
-    return replace(recorded, episodes=taken, notes=(*recorded.notes, *said))
+    notes = (f"{counted(short, 'episode')} of less than {_FEWEST_FRAMES} frames left out",) if short else ()
+    return replace(recorded, episodes=taken, notes=(*recorded.notes, *notes))
 
 
 def dataset_logs(
@@ -175,15 +175,15 @@ def _in_ranges(recorded: Recorded, robot: RobotDescription) -> Recorded:
             "Import it with a map that says unit or scale (agent import --map), or correct the range"
         )
     if normalised := _normalised(recorded):
-        said = (
+        note = (
             f"no position or command goes further than 1, and commands of {', '.join(normalised)} end at 1: they "
             "look normalised to a range, and are taken as rad or m. If they are, import with a map that says the scale "
             "of each joint (agent import --map)"
         )
-        recorded = replace(recorded, notes=(*recorded.notes, said))
+        recorded = replace(recorded, notes=(*recorded.notes, note))
     if outside:
-        said = f"unit, zero or sign may not be those of the model: {'; '.join(outside)} (rad or m)"
-        return replace(recorded, notes=(*recorded.notes, said))
+        note = f"unit, zero or sign may not be those of the model: {'; '.join(outside)} (rad or m)"
+        return replace(recorded, notes=(*recorded.notes, note))
     return recorded
 
 

@@ -125,17 +125,19 @@ def in_radians(recorded: Recorded, robot_type: str = "") -> Recorded:
             "little to show the step of its encoder. Record it moving, or say rad per percent in a map: agent import "
             "--map, scale"
         )
-    kept = [k for k in range(len(units)) if k not in unknown]
-    factors = np.array([factor for k in kept if (factor := units[k].factor) is not None])
-    said = [f"{unit.name}: {unit.found}" for unit in units if unit.ticks is None and unit.factor is not None]
-    ranges = [f"{recorded.joints[k]} {ticks:.0f}" for k in kept if (ticks := units[k].ticks) is not None]
+    known = [k for k in range(len(units)) if k not in unknown]
+    factors = np.array([factor for k in known if (factor := units[k].factor) is not None])
+    descriptions = [f"{unit.name}: {unit.found}" for unit in units if unit.ticks is None and unit.factor is not None]
+    ranges = [f"{recorded.joints[k]} {ticks:.0f}" for k in known if (ticks := units[k].ticks) is not None]
     if ranges:
-        said.append(f"percent of a range: {_BY_STEP} in ticks of {_PERCENT_TICKS:.0f} a turn: {', '.join(ranges)}")
-    units_text = "; ".join(dict.fromkeys(said))
+        descriptions.append(
+            f"percent of a range: {_BY_STEP} in ticks of {_PERCENT_TICKS:.0f} a turn: {', '.join(ranges)}"
+        )
+    units_text = "; ".join(dict.fromkeys(descriptions))
     notes = [f"positions and commands are in {units_text}"]
     notes += [f"{recorded.joints[k]} is left out: {units[k].found}" for k in unknown]
     facts = recorded.facts | {UNITS: units_text}
-    changed = recorded.of_columns(kept).changed(lambda array: array * factors, ("position", "command"))
+    changed = recorded.of_columns(known).changed(lambda array: array * factors, ("position", "command"))
     return replace(changed, unit="rad", facts=facts, notes=(*recorded.notes, *notes))
 
 

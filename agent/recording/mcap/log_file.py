@@ -48,10 +48,10 @@ class RecordingError(AgentError):
         self,
         path: Path,
         reason: str | None,
-        kept: int = 0,
+        written: int = 0,
         advice: str = "free space, or choose a folder with write permission",
     ):
-        what = f"; {kept} bytes recorded before are in the file and readable" if kept else ""
+        what = f"; {written} bytes recorded before are in the file and readable" if written else ""
         super().__init__(f"{path}: the log cannot be written: {reason}; {advice}{what}")
         self.reason = reason
 
@@ -134,8 +134,8 @@ class LogFile:
             topics[REFERENCES] = (samples.reference_position, samples.reference_velocity, None)
         if samples.current is not None:
             topics[CURRENTS] = (None, None, samples.current)
-        kept = {topic: tuple(_rows(values, keep) for values in arrays) for topic, arrays in topics.items()}
-        self._append(kept, stamps, np.full(len(stamps), received), np.asarray(samples.sequence)[keep])
+        rows = {topic: tuple(_rows(values, keep) for values in arrays) for topic, arrays in topics.items()}
+        self._append(rows, stamps, np.full(len(stamps), received), np.asarray(samples.sequence)[keep])
         if self.lost > lost:
             self.event(f"{self.lost - lost} samples lost up to controller time {stamps[-1] / NANO:.6f} s")
         if abs(int(stamps[-1]) - self._flushed) >= FLUSH_INTERVAL * NANO:

@@ -131,9 +131,9 @@ def form_of(kind: str) -> MessageForm | None:
     return FORMS.get(kind.replace("/msg/", "/"))
 
 
-def definition_of(kind: str, given: str) -> str:
+def definition_of(kind: str, text: str) -> str:
     """The definition of a type: that of the file, else that of a type which never changed; empty where neither is."""
-    return given or DEFINITIONS.get(kind.replace("/msg/", "/"), "")
+    return text or DEFINITIONS.get(kind.replace("/msg/", "/"), "")
 
 
 @dataclass(frozen=True)

@@ -398,8 +398,8 @@ class _Collector:
         topics = scanned.commands if channel.commands else scanned.topics
         topics[channel.topic].append(Messages(layout, order, stamp, position, velocity, effort, received, sent))
         if isinstance(layout, FormLayout) and (points := layout.array(rows, 3)) is not None:
-            held = Messages(layout, order, stamp, keep(points), None, None, received, sent)
-            scanned.set_points[channel.topic].append(held)
+            messages = Messages(layout, order, stamp, keep(points), None, None, received, sent)
+            scanned.set_points[channel.topic].append(messages)
 
     def _decode_json(self, channel: _Channel, messages: list[bytes], order: np.ndarray, received: np.ndarray) -> None:
         alike: dict[tuple[tuple[str, ...], tuple[str, ...], int], list[tuple[int, dict[str, list[float]]]]] = {}

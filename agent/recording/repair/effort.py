@@ -35,10 +35,10 @@ def effort_of(log: Log, declared: str | None) -> str | None:
     Raises:
         InputError: the driver says something else than the user.
     """
-    said = log.metadata.get(EFFORT)
-    if said in EFFORTS and declared is not None and declared != said:
-        raise InputError(f"{log.path}: its effort is {said}, as its driver says; leave out --effort {declared}")
-    return declared or (said if said in EFFORTS else None)
+    recorded = log.metadata.get(EFFORT)
+    if recorded in EFFORTS and declared is not None and declared != recorded:
+        raise InputError(f"{log.path}: its effort is {recorded}, as its driver says; leave out --effort {declared}")
+    return declared or (recorded if recorded in EFFORTS else None)
 
 
 def with_joint_torque(log: Log, robot: RobotDescription, meaning: str | None) -> Log:

@@ -86,8 +86,8 @@ def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np
     if len(number) < _AROUND:
         return number
     number = number.copy()
-    near = number - number[0], periods - periods[0]
-    spread = max(float(np.std(near[0] - near[1])), 1e-3)
+    relative = number - number[0], periods - periods[0]
+    spread = max(float(np.std(relative[0] - relative[1])), 1e-3)
     noise = np.median(np.abs(np.diff(position, 4, axis=0)), axis=0) / 5.6  # of white noise σ: √70 σ · 0.67
     steps = np.abs(np.diff(position, axis=0))
     noise = np.maximum(noise, 1e-3 * np.std(np.diff(position, axis=0), axis=0))

@@ -65,23 +65,23 @@ def put_in_order(stamp: np.ndarray, values: Sequence[np.ndarray], name: str) -> 
     """
     if len(stamp) < 2:
         raise InputError(f"{name}: 1 sample at {stamp[0] / NANO:.6f} s; a motion has more")
-    stamp, said = unwrapped(stamp)
+    stamp, repaired = unwrapped(stamp)
     if len(values):
         stamp, cut = set_back(stamp, values[0])
         stamp, spread = evened_bursts(stamp, values[0])
-        said += cut + spread
+        repaired += cut + spread
     far = far_off(stamp)
     rows = np.flatnonzero(~far)
     first = int(stamp[rows].min())
-    repairs = [*said, *Repair.of("samples with stamps far off, dropped", (stamp - first) / NANO, far)]
+    repairs = [*repaired, *Repair.of("samples with stamps far off, dropped", (stamp - first) / NANO, far)]
     back = np.append(False, np.diff(stamp[rows]) < 0)
     where = (stamp[rows] - first) / NANO
-    if back.any() and len(values) and (kept := _in_file_order(stamp[rows], values[0][rows])) is not None:
+    if back.any() and len(values) and (in_order := _in_file_order(stamp[rows], values[0][rows])) is not None:
         repairs += Repair.of("stamps out of order where positions are in order, only stamps sorted", where, back)
-        if len(kept) < len(rows):
+        if len(in_order) < len(rows):
             when = float(where[back][0])
-            repairs.append(Repair("samples with stamps of another time, dropped", when, len(rows) - len(kept)))
-        rows = rows[kept]
+            repairs.append(Repair("samples with stamps of another time, dropped", when, len(rows) - len(in_order)))
+        rows = rows[in_order]
         ordered = np.sort(stamp[rows])
         back[:] = False
     else:
@@ -186,8 +186,8 @@ def _in_file_order(stamp: np.ndarray, position: np.ndarray) -> np.ndarray | None
     """
     order = np.argsort(stamp, kind="stable")
     in_place = np.arange(len(stamp))
-    near = np.abs(np.argsort(order) - in_place) <= _SWAPPED
-    if np.count_nonzero(~near) > 0.01 * len(stamp) or len(stamp) < 3:
+    little_moved = np.abs(np.argsort(order) - in_place) <= _SWAPPED
+    if np.count_nonzero(~little_moved) > 0.01 * len(stamp) or len(stamp) < 3:
         return None
     about = np.unique(np.clip(np.flatnonzero(order != in_place)[:, None] + np.arange(-2, 3), 1, len(stamp) - 2))
     in_file, by_stamp = (
@@ -195,7 +195,7 @@ def _in_file_order(stamp: np.ndarray, position: np.ndarray) -> np.ndarray | None
         for rows in (position, position[order])
     )
     in_order = np.all(in_file <= 1.5 * by_stamp) and np.any(in_file < 0.5 * by_stamp)  # noise has no order
-    return np.flatnonzero(near) if in_order else None
+    return np.flatnonzero(little_moved) if in_order else None
 
 
 def _refuse_two_recordings(stamp: np.ndarray, rows: np.ndarray, name: str) -> None:

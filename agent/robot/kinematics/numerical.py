@@ -123,8 +123,8 @@ class NumericalKinematics(Kinematics):
         q, reached = self.nearest(np.tile(poses, (len(options), 1, 1)), np.repeat(options, len(poses), axis=0))
         inside = np.minimum(np.minimum(q - self.lower, self.upper - q).min(axis=1), np.pi)  # no limit: half a turn
         inside = np.where(reached, inside, -np.inf).reshape(len(options), len(poses))
-        kept = (inside >= 0).sum(axis=1)
-        return options[np.lexsort((-np.where(inside >= 0, inside, np.inf).min(axis=1), -kept))[0]]
+        joints_inside = (inside >= 0).sum(axis=1)
+        return options[np.lexsort((-np.where(inside >= 0, inside, np.inf).min(axis=1), -joints_inside))[0]]
 
     def _follow_near(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
         """(S, n) as `nearest`, on one branch.

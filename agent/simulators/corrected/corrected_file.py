@@ -109,9 +109,9 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[C
             blocks = [seen_from(entry.own, body.pose) for entry in (before.carrying[k], body)]
             edits.set_inertial(k, body.name, blocks[1])
             owner = f"{'link' if before.is_urdf else 'body'} {body.name or 'of ' + joint}"
-            given, fixed = map(_said, blocks)
-            for key in given:
-                yield _change(owner, key, given[key], fixed[key], released.links[k])
+            original, fixed = map(_said, blocks)
+            for key in original:
+                yield _change(owner, key, original[key], fixed[key], released.links[k])
     for pair in after.excluded:
         assert isinstance(edits, MjcfEdits)
         edits.exclude(pair)
@@ -129,29 +129,33 @@ def _change(element: str, attribute: str, old: float | list[float], new: float |
 
 def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]:
     """Change gains, offsets and delays of servos. A damping ratio is written as a number where masses change."""
-    given, released = correction.given.servos, correction.released
+    original, released = correction.given.servos, correction.released
     servos = correction.arm.servos
-    assert isinstance(given, PositionServos)
+    assert isinstance(original, PositionServos)
     assert isinstance(servos, PositionServos)
     moved = edits.damps_by_ratio and bool(released.links or released.rotors)
     for k, joint in enumerate(correction.given.file_joints):
         if k not in released.gains and not moved:
             continue
-        (_, before), (gain, bias) = given.parameters(k), servos.parameters(k)
+        (_, before), (gain, bias) = original.parameters(k), servos.parameters(k)
         edits.set_servo(k, gain, bias)
         if bias[1] != before[1]:
             yield _change(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
-        if servos.offset[k] != given.offset[k]:
-            reason, pair = released.gains[k], (float(given.offset[k]), float(servos.offset[k]))
+        if servos.offset[k] != original.offset[k]:
+            reason, pair = released.gains[k], (float(original.offset[k]), float(servos.offset[k]))
             yield _change(f"actuator of {joint}", OFFSET, *pair, reason)
-        if servos.delay[k] != given.delay[k]:
-            edits.set_delay(k, float(servos.delay[k]), given.step)
+        if servos.delay[k] != original.delay[k]:
+            edits.set_delay(k, float(servos.delay[k]), original.step)
             yield _change(
-                f"actuator of {joint}", "delay", float(given.delay[k]), float(servos.delay[k]), "delay of the command"
+                f"actuator of {joint}",
+                "delay",
+                float(original.delay[k]),
+                float(servos.delay[k]),
+                "delay of the command",
             )
         if bias[2] and (moved or bias[2] != before[2]):
-            kept = "as it was: a dampratio would move it with the masses"
-            yield _change(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, kept))
+            unchanged = "as it was: a dampratio would move it with the masses"
+            yield _change(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, unchanged))
 
 
 def _said(block: np.ndarray) -> dict[str, float | list[float]]:
@@ -168,8 +172,8 @@ def _said(block: np.ndarray) -> dict[str, float | list[float]]:
 
 def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, bytes], out: Path) -> None:
     """Raise RejectedError unless the files read as the corrected arm."""
-    given, wanted = simulator.arm, correction.arm
-    names = dict(zip(given.file_joints, given.joint_names, strict=True))
+    original, wanted = simulator.arm, correction.arm
+    names = dict(zip(original.file_joints, original.joint_names, strict=True))
     trial: dict[Path, Path] = {}
     try:
         for path in files:  # in the folder of the output, because relative paths start there
@@ -182,12 +186,12 @@ def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, b
             trial[path].write_bytes(content)
         read = load_simulator(trial[out], simulator.robot, wanted.joint_names, names).arm
     except InputError as error:
-        said = str(error).replace(trial[out].name, out.name)
-        raise RejectedError(f"{out}: nothing was written: the corrected file is not accepted: {said}") from None
+        reason = str(error).replace(trial[out].name, out.name)
+        raise RejectedError(f"{out}: nothing was written: the corrected file is not accepted: {reason}") from None
     finally:
         for path in trial.values():
             path.unlink(missing_ok=True)
-    if given.is_urdf:  # which has neither: the effects file has them
+    if original.is_urdf:  # which has neither: the effects file has them
         none = np.zeros(len(wanted.joint_names))
         wanted = replace(wanted, armature=none, stiffness=none)
     states = np.random.default_rng(0).uniform(-1, 1, (3, 50, len(wanted.joint_names)))

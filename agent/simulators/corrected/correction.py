@@ -77,15 +77,15 @@ def correct(
             error that the fit leaves; `inertia` as in `Correction`.
         effects: found in addition to the change; `reasons` by effect and joints.
     """
-    given, model = simulator.arm, simulator.model
-    names, n = given.joint_names, len(given.joint_names)
+    original, model = simulator.arm, simulator.model
+    names, n = original.joint_names, len(original.joint_names)
     b = len(model.independent)
     target, friction = change[:b].copy(), np.zeros((n, 2))
     for k, term in enumerate(model.terms):
         if term.axle in released.friction and term.form in _FRICTION:
             friction[term.axle, _FRICTION.index(term.form)] = change[b + k]
     layout = ParameterLayout.of(model.robot)
-    arm = given
+    arm = original
     remaining: list[ModelEffect] = []
     for entry in effects:
         reason = reasons.get((entry.effect, entry.joints), entry.effect)
@@ -112,20 +112,20 @@ def correct(
             arm = replace(arm, stiffness=stiffness, rest=spring_rest)
             released.springs[joints[0]] = reason
         remaining += further(entry, numbers)
-    moved = np.maximum(np.stack([given.frictionloss, given.damping], axis=1) + friction, 0.0)
+    moved = np.maximum(np.stack([original.frictionloss, original.damping], axis=1) + friction, 0.0)
     arm = replace(arm, frictionloss=moved[:, 0], damping=moved[:, 1])
     notes = []
     if np.any(moved[list(released.friction)] == 0):
         notes.append("friction cannot be negative: where the fit gave less, the file has 0")
-    arm, said = _with_bodies(arm, model, target, weight, unexplained, released)
+    arm, remarks = _with_bodies(arm, model, target, weight, unexplained, released)
     description, _ = described(arm, simulator.robot)
     fixed = model_of(arm, description, dict(model.provenance))
     fixed = replace(
         fixed,
         effects=(*fixed.effects, *remaining),
-        notes=(f"corrected from {given.path.name}, by what logs of the robot say", *given.notes),
+        notes=(f"corrected from {original.path.name}, by what logs of the robot say", *original.notes),
     )
-    return Correction(given, arm, fixed, released, tuple(remaining), inertia, (*notes, *said), reasons)
+    return Correction(original, arm, fixed, released, tuple(remaining), inertia, (*notes, *remarks), reasons)
 
 
 def with_servos(
@@ -218,15 +218,15 @@ def _with_bodies(
             rotors, (blocks, armature, lost, _) = every, other
             for k in links:
                 released.rotors.setdefault(k, released.links[k])
-    said = []
+    remarks = []
     if size > 0 and lost > _LOST * size:
-        said.append(
+        remarks.append(
             f"the bodies that fit best could not exist; the nearest that could are written, which lose "
             f"{100 * min(lost / size, 1.0):.0f} % of what moving them gained"
         )
     weightless = [arm.joint_names[k] for k, block in zip(links, own, strict=True) if not is_body(block)]
     if weightless:
-        said.append(
+        remarks.append(
             f"the file's inertia of the link that {', '.join(weightless)} moves was of no body that could exist"
         )
     root = ElementTree.fromstring(arm.robot.urdf)
@@ -239,4 +239,4 @@ def _with_bodies(
         set_inertial(elements[body.link], seen_from(lumped, body.link_pose))
         carrying[k] = replace(body, own=block)
     moved[rotors] = armature
-    return replace(_reshaped(arm, root), armature=moved, carrying=tuple(carrying)), said
+    return replace(_reshaped(arm, root), armature=moved, carrying=tuple(carrying)), remarks

@@ -199,8 +199,8 @@ class Effects:
         kept_touching = 1 - np.minimum(np.maximum(h * p["damper"] / inertia, forgetting), 1)
         for _ in range(steps):
             beyond = twist - np.clip(twist, -half, half)
-            kept = np.where((beyond != 0) | (half == 0), kept_touching, 1.0)
-            momentum = kept * momentum + h * here - h * fallen * twist - h * k * beyond
+            decay = np.where((beyond != 0) | (half == 0), kept_touching, 1.0)
+            momentum = decay * momentum + h * here - h * fallen * twist - h * k * beyond
             twist = twist + h * momentum / inertia
         speed = momentum / inertia
         second = (speed - state.get("speed", np.zeros_like(speed))) / self.dt
@@ -315,9 +315,9 @@ def install(mujoco: Any, model: Any, joints: tuple[str, ...] = JOINTS) -> Effect
 
             def follows(qdd: Array) -> Array:
                 """The acceleration that follows if the effects see one."""
-                kept, time = _copied(effects._states), effects.time
+                states, time = _copied(effects._states), effects.time
                 torque = felt(qdd)
-                effects._states, effects.time = kept, time
+                effects._states, effects.time = states, time
                 return np.asarray(before + np.linalg.solve(whole, now["torque"] - torque))
 
             known = gears and now["time"] >= 0

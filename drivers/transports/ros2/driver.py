@@ -115,10 +115,10 @@ class Ros2Driver(LinkDriver[RosLink, Ros2Motion]):
 
     def _sampling(self, link: RosLink) -> float:
         """The period [s] of the samples: the manager's, where it says it and the stamps agree, else theirs."""
-        said = float(self._manager.get("update_rate") or 0.0)  # a controller's own may be less than its broadcaster's
+        stated = float(self._manager.get("update_rate") or 0.0)  # a controller's own may be less than its broadcaster's
         rate, _ = link.pace()
-        if 0.7 * said < rate < 1.4 * said:
-            return 1.0 / said
+        if 0.7 * stated < rate < 1.4 * stated:
+            return 1.0 / stated
         return 1.0 / (round(rate, -1) if rate > 20.0 else rate)
 
     def identify(self) -> Identity:

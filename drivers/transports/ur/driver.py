@@ -232,13 +232,13 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
 
     def _end_program(self, link: UrLink) -> str:
         """End what runs, by the dashboard or, where that does not, by the primary interface; the dashboard's answer."""
-        said = ""
+        answer = ""
         with contextlib.suppress(DriverError):
             if self._dashboard is not None:
-                said = self._dashboard.ask("stop", _OBEYS)
-        if said != "Stopped":
+                answer = self._dashboard.ask("stop", _OBEYS)
+        if answer != "Stopped":
             self._end_by_primary(link)
-        return said
+        return answer
 
     def _end_by_primary(self, link: UrLink) -> None:
         with contextlib.suppress(DriverError):

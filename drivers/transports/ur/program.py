@@ -80,12 +80,12 @@ class UrProgram:
                 "this is no URScript program: `def NAME():` comes first, the name of at most 31 letters, digits and _, "
                 "and `end` at the beginning of a line last; all between them is indented, and ASCII but for comments"
             )
-        said, later = _preamble(body)
+        preamble, later = _preamble(body)
         if (
             not later
-            or said["number"] != said["permit"]
-            or int(said["number"]) >= 2**31
-            or not 1 / WATCHDOG <= float(said["hertz"]) <= 4 / WATCHDOG
+            or preamble["number"] != preamble["permit"]
+            or int(preamble["number"]) >= 2**31
+            or not 1 / WATCHDOG <= float(preamble["hertz"]) <= 4 / WATCHDOG
             or any(_LATER.search(row) for row in later)
             or not _closed(later)
         ):
@@ -99,7 +99,7 @@ class UrProgram:
             mass = None if load is None else _numbers(f"{load[1]},{load[2] or '0,0,0'}", 4)
         except ValueError:
             raise RefusedError(f"program {head[1]}: set_tcp and the payload need numbers, not expressions") from None
-        return cls(text, head[1], int(said["number"]), frame, mass)
+        return cls(text, head[1], int(preamble["number"]), frame, mass)
 
     def restoring(self, before: np.void) -> str:
         """A script that moves nothing and sets again what this program changes.
@@ -127,8 +127,8 @@ class UrProgram:
             )
         if self.load is None:
             return None
-        near = np.abs(self.load[1:] - centre).max() <= _SAME_CENTRE or max(mass, self.load[0]) <= _SAME_MASS
-        if abs(self.load[0] - mass) <= _SAME_MASS and near:
+        same_centre = np.abs(self.load[1:] - centre).max() <= _SAME_CENTRE or max(mass, self.load[0]) <= _SAME_MASS
+        if abs(self.load[0] - mass) <= _SAME_MASS and same_centre:
             return None
         return (
             f"the payload at the pendant is {payload_text(mass, centre)}, the program is for "
@@ -142,15 +142,15 @@ def _literal(values: np.ndarray) -> str:
 
 def _preamble(body: list[str]) -> tuple[dict[str, str], list[str]]:
     """What the first rows of a program say, and the rows after them; none where they are not `LINES`."""
-    said: dict[str, str] = {}
+    preamble: dict[str, str] = {}
     for pattern, least, most in _PREAMBLE:
         count = 0
         while count < most and body and (match := re.fullmatch(pattern, body[0], re.ASCII)):
-            said |= match.groupdict()
+            preamble |= match.groupdict()
             body, count = body[1:], count + 1
         if count < least:
-            return said, []
-    return said, body
+            return preamble, []
+    return preamble, body
 
 
 def _closed(rows: list[str]) -> bool:

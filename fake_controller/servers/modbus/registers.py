@@ -182,8 +182,8 @@ class RegisterMap:
 
     def _row(self, slot: int) -> np.ndarray:
         sequence = self._taken + (slot - self._taken) % self._slots
-        kept = self._produced - len(self._rows) <= sequence < self._produced
-        return self._rows[sequence % len(self._rows)] if kept else self._empty
+        stored = self._produced - len(self._rows) <= sequence < self._produced
+        return self._rows[sequence % len(self._rows)] if stored else self._empty
 
     def _write(self, address: int, registers: list[int]) -> ExcCodes | None:
         block = _WRITABLE.get(address)
