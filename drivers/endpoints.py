@@ -17,7 +17,7 @@ def endpoints(driver: str, address: str) -> tuple[str, ...]:
         made = create(driver, address)
         if isinstance(made, NamesEndpoints):
             return made.endpoints()
-        place, comma, options = address.partition(",")
-        return tuple(f"{endpoint}{comma}{options}" for endpoint in socket_endpoints(*parse_address(place.strip())))
+        socket, comma, options = address.partition(",")
+        return tuple(f"{endpoint}{comma}{options}" for endpoint in socket_endpoints(*parse_address(socket.strip())))
     except ConfigurationError:  # an address that no driver takes, or that this one refuses
         return (f"{driver}|{address}",)

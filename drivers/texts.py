@@ -23,19 +23,19 @@ _IN_OPTION = re.compile(rf"(?i)(?<![a-z])(?P<key>{_KEYS})=(?!\*)[^\s,;'\"&<>}}]+
 _HIDDEN = "***"
 _IP = re.compile(r"[0-9A-Fa-f]{0,4}(?::[0-9A-Fa-f]{0,4}){2,7}")
 #: Where an address leads: a device, or a host with its port.
-_PLACE = re.compile(
+_TARGET = re.compile(
     r"ros2://[\w/]*|/(?:[\w./+~-]|:(?=\d))*|\\\\\.\\\w+|(?:[a-z]+://)?(?:\[[\w:.%]+\]|[\w.-]*)(?::0*\d{1,5}(?!\w))?",
     re.ASCII,
 )
 
 
-def place_of(address: str) -> str:
+def public_address(address: str) -> str:
     """The target of an address, for people. Its options are not shown, whatever their names: one may be a password."""
     text = printable(address, NAME)
     head = re.split(r"[,;?#&\s]", text, maxsplit=1)[0]
-    match = None if "@" in text or "=" in head else _IP.fullmatch(head) or _PLACE.match(head)
-    place = match[0] if match else ""
-    return place if place == text else f"{place},…"
+    match = None if "@" in text or "=" in head else _IP.fullmatch(head) or _TARGET.match(head)
+    target = match[0] if match else ""
+    return target if target == text else f"{target},…"
 
 
 def hide(text: str) -> str:

@@ -148,7 +148,7 @@ class Interpreter:
         count, last = int(self._value(loop.first)), int(self._value(loop.last))  # type: ignore[arg-type]
         step = 1 if loop.step is None else int(self._value(loop.step))  # type: ignore[arg-type]
         if step < 1:
-            raise Pdl2Error(f"STEP is {step}; it counts from 1 up", loop.place)
+            raise Pdl2Error(f"STEP is {step}; it counts from 1 up", loop.position)
         sign = -1 if loop.down else 1
         while sign * (last - count) >= 0:
             self._variables[loop.variable.name] = count
@@ -177,14 +177,14 @@ class Interpreter:
             settings=_settings(system),
             fly=move.fly,
             via=None if move.via is None else self._target(move.via, system),
-            line=move.place.line,
+            line=move.position.line,
         )
 
     def _target(self, node: Expression, system: dict[str, Value]) -> Target:
         value = self._value(node)
         if isinstance(value, Joints):
             if len(value.fields) != len(self._prismatic):
-                raise Pdl2Error(f"this arm has {len(self._prismatic)} joints", node.place)
+                raise Pdl2Error(f"this arm has {len(self._prismatic)} joints", node.position)
             return JointTarget(np.array(value.fields) * np.where(self._prismatic, 1e-3, np.pi / 180))
         assert isinstance(value, Pos)
         base, uframe = _fields(system["$BASE"]), _fields(system["$UFRAME"])

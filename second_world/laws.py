@@ -274,15 +274,15 @@ def _tool(shape: str) -> Build:
     def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
         mass, last = amount * _hanging(m, 0), m.world.arm.n - 1
         reach = float(np.abs(m.world.arm.origin).sum())
-        place = reach * np.array([rng.uniform(-0.04, 0.04), rng.uniform(-0.04, 0.04), rng.uniform(0.0, 0.1)])
+        centre = reach * np.array([rng.uniform(-0.04, 0.04), rng.uniform(-0.04, 0.04), rng.uniform(0.0, 0.1)])
         radius = reach * {"point": 0.005, "ball": 0.05}.get(shape, 0.02)
-        m.bodies.append(AddedBody(last, mass, place, np.full(3, 0.4 * mass * radius**2)))
+        m.bodies.append(AddedBody(last, mass, centre, np.full(3, 0.4 * mass * radius**2)))
         if shape == "pair":
             away = reach * rng.uniform(0.05, 0.15) * _direction(rng)
-            m.bodies.append(AddedBody(last, 0.5 * mass, place + away, np.full(3, 0.2 * mass * radius**2)))
+            m.bodies.append(AddedBody(last, 0.5 * mass, centre + away, np.full(3, 0.2 * mass * radius**2)))
         if shape == "rod":
             length = reach * rng.uniform(0.1, 0.25)
-            m.bodies.append(AddedBody(last, 0.2 * mass, place, mass * length**2 / 12 * np.array([1.0, 1.0, 0.05])))
+            m.bodies.append(AddedBody(last, 0.2 * mass, centre, mass * length**2 / 12 * np.array([1.0, 1.0, 0.05])))
 
     return build
 
@@ -338,14 +338,14 @@ def _pushing(how: str) -> Build:
         size, start, duration = amount * _hanging(m, 0) * 9.81, rng.uniform(0.05, 0.6), rng.uniform(0.08, 0.3)
         began: dict[int, np.ndarray] = {}
 
-        def force(share: float, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        def force(share: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
             x = (share - start) / duration
             if not 0 < x < 1:
                 began.clear()
                 return np.zeros(3)
             swell = np.sin(np.pi * min(1.0, 8 * min(x, 1 - x)) / 2) ** 2
             if how == "wall":  # pushes back along `way` the further the link goes the other way
-                depth = max(float((began.setdefault(0, place.copy()) - place) @ way), 0.0)
+                depth = max(float((began.setdefault(0, position.copy()) - position) @ way), 0.0)
                 return size * way * swell * (0.2 + 5 * depth)
             if how == "rubbing":
                 return -size * swell * velocity / (np.linalg.norm(velocity) + 0.02)
@@ -590,7 +590,7 @@ def _tool_drag(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator)
     """A broad tool in air or in a liquid: −c |v| v, stronger across a direction of the base frame."""
     size, way = amount * _hanging(m, 0) * 9.81, _direction(rng)
 
-    def force(share: float, place: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def force(share: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         return -size * np.linalg.norm(velocity) * (velocity - 0.5 * way * (way @ velocity))
 
     m.pushes.append(Push(m.world.arm.n - 1, force))

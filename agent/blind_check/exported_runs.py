@@ -87,9 +87,9 @@ def _filled(
         console.progress(f"{count} of {len(tasks)} runs recorded", count / len(tasks))
     runs: list[dict[str, Any]] = []
     failed: list[dict[str, Any]] = []
-    for (truth, place), label, serial in zip(tasks, labels[::2], labels[1::2], strict=True):
-        outcome = json.loads((place / "truth.json").read_text(encoding="utf-8"))
-        made = {"run": label, "serial": f"SN-{serial}", **truth, **outcome, "number": int(place.name)}
+    for (truth, folder_of_run), label, serial in zip(tasks, labels[::2], labels[1::2], strict=True):
+        outcome = json.loads((folder_of_run / "truth.json").read_text(encoding="utf-8"))
+        made = {"run": label, "serial": f"SN-{serial}", **truth, **outcome, "number": int(folder_of_run.name)}
         (failed if "error" in outcome else runs).append(made)
     runs.sort(key=lambda run: run["run"])  # the order of the files says nothing about the draw
     for run in runs:
@@ -140,14 +140,14 @@ def _labels(rng: np.random.Generator, count: int) -> list[str]:
 
 def _recorded(world: World, task: tuple[Truth, Path]) -> bool:
     """Record a run into a folder, unless that is done; its `truth.json` says how large the effects are, or why not."""
-    truth, place = task
-    note = place / "truth.json"
+    truth, folder = task
+    note = folder / "truth.json"
     if not note.exists():
-        shutil.rmtree(place, ignore_errors=True)  # of an export that was stopped in the middle of it
-        place.mkdir(parents=True)
+        shutil.rmtree(folder, ignore_errors=True)  # of an export that was stopped in the middle of it
+        folder.mkdir(parents=True)
         outcome: dict[str, Any]
         try:
-            outcome = world.write(truth, place)
+            outcome = world.write(truth, folder)
         except (AgentError, DriverError) as error:
             outcome = {"error": str(error)}
         write_atomically(note, json.dumps(outcome))

@@ -79,8 +79,8 @@ def _unexpected(error: Exception) -> None:
             sys.exit(code)
         _fail(str(error), code)
     if isinstance(error, OSError) and (error.filename is not None or error.errno in FULL_OR_READ_ONLY):
-        place = error.filename or "the result cannot be written"
-        _fail(f"{place}: {error.strerror}; free space or rights? Otherwise choose another folder", 1)
+        subject = error.filename or "the result cannot be written"
+        _fail(f"{subject}: {error.strerror}; free space or rights? Otherwise choose another folder", 1)
     import traceback
 
     traceback.print_exc()

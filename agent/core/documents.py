@@ -130,15 +130,15 @@ class _Bounds:
         """
         from ruamel.yaml import events as kinds
 
-        place = f"{self._path}:{event.start_mark.line + 1}"
+        position = f"{self._path}:{event.start_mark.line + 1}"
         anchor = getattr(event, "anchor", None)
         if isinstance(event, kinds.AliasEvent) and anchor is not None:
             if any(anchor == name for name, _ in self._open):
-                raise InputError(f"{place}: *{anchor[:40]} stands within what it names")
+                raise InputError(f"{position}: *{anchor[:40]} stands within what it names")
             self._total += self._sizes.get(anchor, 0)
         elif isinstance(event, kinds.ScalarEvent):
             if len(event.value) > LONGEST_VALUE:
-                raise InputError(f"{place}: a value of {len(event.value)} characters; {LONGEST_VALUE} are allowed")
+                raise InputError(f"{position}: a value of {len(event.value)} characters; {LONGEST_VALUE} are allowed")
             self._total += 1
             if anchor:
                 self._sizes[anchor] = 1
@@ -146,13 +146,15 @@ class _Bounds:
             self._open.append((anchor, self._total))
             self._total += 1
             if len(self._open) > DEEPEST:
-                raise InputError(f"{place}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?")
+                raise InputError(
+                    f"{position}: lists and mappings are nested more than {DEEPEST} deep; a bracket missing?"
+                )
         elif isinstance(event, kinds.CollectionEndEvent):
             name, before = self._open.pop()
             if name:
                 self._sizes[name] = self._total - before
         if self._total > MOST_VALUES:
-            raise InputError(f"{place}: more than {MOST_VALUES} values, aliases written out; leave aliases out")
+            raise InputError(f"{position}: more than {MOST_VALUES} values, aliases written out; leave aliases out")
         return event
 
 

@@ -50,8 +50,8 @@ def write_atomically(path: Path, text: str) -> Path:
     """
     special = path.exists() and not path.is_file()
     try:
-        with contextlib.nullcontext(path) if special else written_whole(path) as place:
-            place.write_text(hide(text), encoding="utf-8")
+        with contextlib.nullcontext(path) if special else written_whole(path) as temporary:
+            temporary.write_text(hide(text), encoding="utf-8")
     except OSError as error:
         raise AgentError(f"{path}: cannot be written: {error.strerror}; free space or rights?") from None
     return path
@@ -74,12 +74,12 @@ def swept_folder(prefix: str) -> Iterator[Path]:
 @contextmanager
 def _held(folder: Path) -> Iterator[None]:
     """Lock a file exclusively, or raise OSError; the system releases it when the process ends."""
-    place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         yield
     finally:
-        os.close(place)
+        os.close(descriptor)
 
 
 def open_regular(path: Path) -> BufferedReader:

@@ -42,9 +42,9 @@ class Moments:
         """(p + 1, p + 1): sum over cells and rows, the last row and column are the torque's."""
         total = np.zeros((self.parameters + 1, self.parameters + 1))
         for joint, index in enumerate(self.index):
-            place = np.append(index, self.parameters)
+            columns = np.append(index, self.parameters)
             moving, still = self._over(joint, cells)
-            total[place[:, None], place] += weights[0, joint] * moving + weights[1, joint] * still
+            total[columns[:, None], columns] += weights[0, joint] * moving + weights[1, joint] * still
         return total
 
     def _over(self, joint: int, cells: Cells) -> np.ndarray:
@@ -75,9 +75,9 @@ class Moments:
         for old, old_sums in zip(self.index, self.sums, strict=True):
             keep = np.flatnonzero(position[old] >= 0)
             keep = keep[np.argsort(position[old[keep]])]
-            place = np.append(keep, len(old))
+            columns = np.append(keep, len(old))
             index.append(position[old[keep]])
-            places.append((slice(None), place[:, None], place))
+            places.append((slice(None), columns[:, None], columns))
             sums.append(old_sums[:, *places[-1]])
         known = {(joint, cells): total[places[joint]] for (joint, cells), total in self._totals.items()}
         return Moments(len(chosen), tuple(index), tuple(sums), self.rows, known)

@@ -54,9 +54,9 @@ class SetPointLimits:
         """
         model, names, servos = simulator.model, simulator.arm.file_joints, simulator.servos
         joints = [model.joint(name) for name in names]
-        place = [int(joint.qposadr[0]) for joint in joints]
+        addresses = [int(joint.qposadr[0]) for joint in joints]
         keys = [k for k in range(model.nkey) if model.key(k).name == "home"]
-        start = (model.key_qpos[keys[0]] if keys else model.qpos0)[place].astype(float)
+        start = (model.key_qpos[keys[0]] if keys else model.qpos0)[addresses].astype(float)
         limited = np.array([bool(model.jnt_limited[joint.id]) for joint in joints])
         ends = np.array([model.jnt_range[joint.id] for joint in joints])
         low, high = np.where(limited, ends[:, 0], -np.inf), np.where(limited, ends[:, 1], np.inf)
@@ -239,10 +239,10 @@ def _contact(free: FreeSimulator, postures: np.ndarray, start: np.ndarray) -> st
     """Which bodies touch on the way that do not at the start; empty where none do."""
     mujoco = mujoco_package()
     model, data = free.model, mujoco.MjData(free.model)
-    place = [int(model.joint(name).qposadr[0]) for name in free.arm.file_joints]
+    addresses = [int(model.joint(name).qposadr[0]) for name in free.arm.file_joints]
 
     def touching(posture: np.ndarray) -> set[tuple[str, str]]:
-        data.qpos[place] = posture
+        data.qpos[addresses] = posture
         mujoco.mj_fwdPosition(model, data)
         bodies = [[model.body(model.geom_bodyid[g]).name for g in pair.geom] for pair in data.contact if pair.dist < 0]
         return {(min(pair), max(pair)) for pair in bodies}

@@ -65,14 +65,14 @@ def _rivals(diagnosis: Diagnosis) -> Iterator[OpenPair]:
     selected = diagnosis.selected
     for number, (cause, rivals) in enumerate(zip(selected.causes, selected.rivals, strict=True)):
         shared = tuple(c for k, c in enumerate(selected.causes) if k != number)
-        forms = [cause, *(form for place in rivals if (form := _leading_form(diagnosis, place)) is not None)]
+        forms = [cause, *(form for key in rivals if (form := _leading_form(diagnosis, key)) is not None)]
         for first, second in combinations([_side(diagnosis, form, shared) for form in forms], 2):
             yield OpenPair(first, second, shared)
 
 
-def _leading_form(diagnosis: Diagnosis, place: HypothesisKey) -> Candidate | None:
+def _leading_form(diagnosis: Diagnosis, key: HypothesisKey) -> Candidate | None:
     """The form of an effect in the likeliest hypothesis that has it."""
-    forms = (c for hypothesis in diagnosis.selected.hypotheses for c in hypothesis.effects if c.key == place)
+    forms = (c for hypothesis in diagnosis.selected.hypotheses for c in hypothesis.effects if c.key == key)
     return next(forms, None)
 
 

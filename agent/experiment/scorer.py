@@ -117,8 +117,8 @@ class ExperimentScorer:
     def energy(self, gain: InformationGain, side: Side) -> float:
         """Information that motions have of a side's own size."""
         assert side.form is not None
-        place = self._place[side.form]
-        return float(side.values @ gain.information[np.ix_(place, place)] @ side.values)
+        columns = self._place[side.form]
+        return float(side.values @ gain.information[np.ix_(columns, columns)] @ side.values)
 
     def evidence(self, added: InformationGain) -> np.ndarray:
         """(pairs, 2) expected log Bayes factor of the first side where it is true, and of the second.
@@ -145,14 +145,14 @@ class ExperimentScorer:
         free = [np.arange(model), *(self._place[form] for form in pair.shared)]
         if rival.form is not None and not reached.lacking(rival.form.effect, rival.form.joints):
             free.append(self._place[rival.form])
-        at, place = np.concatenate(free), self._place[true.form]
+        at, columns = np.concatenate(free), self._place[true.form]
         values = true.values if len(true.values) else self._practical(true.form)
-        side = whole[np.ix_(at, place)] @ values
+        side = whole[np.ix_(at, columns)] @ values
         matrix = whole[np.ix_(at, at)] + self._prior[np.ix_(at, at)]
         unit = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         lower = np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-9 * np.eye(len(at)))
         follows = float(np.sum(solve_triangular(lower, unit * side, lower=True) ** 2))
-        own = float(values @ whole[np.ix_(place, place)] @ values)
+        own = float(values @ whole[np.ix_(columns, columns)] @ values)
         lost = 0.0 if rival.form is None else self._evidence.law.form**2 * own
         return 0.5 * max(own - follows - lost, 0.0)
 

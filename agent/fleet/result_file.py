@@ -207,7 +207,7 @@ class Result:
         path = self._folder / "committed.parquet"
         with pq.ParquetWriter(path, self._schema, compression="zstd") as writer:
             for first in range(0, len(order), _GROUP):
-                rows = [group_of(file, group).slice(place, 1) for *_, file, group, place in order[first:][:_GROUP]]
+                rows = [group_of(file, group).slice(row, 1) for *_, file, group, row in order[first:][:_GROUP]]
                 writer.write_table(pa.concat_tables(rows).combine_chunks())
         self.written += path.stat().st_size
         self._store.put(ROWS, path)
@@ -239,5 +239,5 @@ def _order(files: Sequence[Any]) -> list[tuple[str, str, int, int, int]]:
         for group in range(file.num_row_groups):
             keys = file.read_row_group(group, columns=["robot", "run"])
             pairs = zip(keys["robot"].to_pylist(), keys["run"].to_pylist(), strict=True)
-            newest |= {run: (robot, run, number, group, place) for place, (robot, run) in enumerate(pairs)}
+            newest |= {run: (robot, run, number, group, row) for row, (robot, run) in enumerate(pairs)}
     return sorted(newest.values())

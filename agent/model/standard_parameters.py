@@ -209,8 +209,8 @@ def log_det_hessian(standard: np.ndarray, layout: ParameterLayout) -> np.ndarray
     for k, block in enumerate(layout.blocks(standard)):
         turned = np.linalg.inv(pseudo_inertia(block)) @ PSEUDO_INERTIA
         hessian[layout.link(k), layout.link(k)] = np.einsum("aij,bji->ab", turned, turned)
-    place = np.arange(layout.rotors.start, layout.rotors.stop)
-    hessian[place, place] = standard[layout.rotors] ** -2
+    diagonal = np.arange(layout.rotors.start, layout.rotors.stop)
+    hessian[diagonal, diagonal] = standard[layout.rotors] ** -2
     return hessian
 
 

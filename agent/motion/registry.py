@@ -88,6 +88,6 @@ def create_interpolator(name: str, robot: RobotDescription, tool: Tool | None = 
     return entry_point.load()(robot, tool, **options)
 
 
-def _loaded(place: str) -> Any:
-    module, _, attribute = place.partition(":")
+def _loaded(reference: str) -> Any:
+    module, _, attribute = reference.partition(":")
     return getattr(import_module(module), attribute)

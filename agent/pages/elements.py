@@ -53,8 +53,8 @@ class Bars:
     @property
     def places(self) -> list[float]:
         """All finite coordinates along the scale."""
-        places = [place for bar in self.bars for place in (bar.begin, bar.end)] + [place for place, _ in self.marks]
-        return [place for place in places if math.isfinite(place)]
+        places = [value for bar in self.bars for value in (bar.begin, bar.end)] + [value for value, _ in self.marks]
+        return [value for value in places if math.isfinite(value)]
 
 
 Cell = str | Shade | Bars
@@ -181,9 +181,9 @@ def table_html(table: Table) -> str:
     looks = [_look([_text(row[k]) for row in table.rows]) for k in range(len(table.header))]
     scales = _scales(table)
 
-    def at(cell: Bars, place: float) -> float:
+    def at(cell: Bars, value: float) -> float:
         low, high = scales[Bars, cell.unit]
-        return 200.0 * (place - low) / (high - low)
+        return 200.0 * (value - low) / (high - low)
 
     def opacity(cell: Shade) -> str:
         _, high = scales[Shade, cell.unit]

@@ -65,13 +65,13 @@ def _picture(plot: Plot, panel: Panel, wide: float, high: float) -> dict[str, An
     grid = ""
     steps = dates if plot.dates else ticks
     for value, text in steps(across.low, across.high, int((across.end - across.begin) / _TICK_WIDE) + 1):
-        place = float(across(value))
-        grid += f"M{place:.1f} {up.end:.1f}V{up.begin + 3.0:.1f}"
-        texts.append((min(place, wide - 0.5 * _LETTER * len(text)), up.begin + 13.0, text, "middle"))
+        pixel = float(across(value))
+        grid += f"M{pixel:.1f} {up.end:.1f}V{up.begin + 3.0:.1f}"
+        texts.append((min(pixel, wide - 0.5 * _LETTER * len(text)), up.begin + 13.0, text, "middle"))
     for value, text in ticks(up.low, up.high, int((up.begin - up.end) / _TICK_TALL) + 1):
-        place = float(up(value))
-        grid += f"M{across.begin - 3.0:.1f} {place:.1f}H{across.end:.1f}"
-        texts.append((across.begin - 5.0, place + 3.0, text, "end"))
+        pixel = float(up(value))
+        grid += f"M{across.begin - 3.0:.1f} {pixel:.1f}H{across.end:.1f}"
+        texts.append((across.begin - 5.0, pixel + 3.0, text, "end"))
     ways, places = [], across(x[chosen])
     for series, (lower, upper) in outlines:
         filled_in = series.look == "part" or series.low is not None

@@ -47,7 +47,7 @@ from agent.recipe.schema import (
 from agent.robot import Box, RobotDescription, Tool, builtin_robots, load_robot
 from drivers import registry
 from drivers.errors import ConfigurationError
-from drivers.texts import place_of
+from drivers.texts import public_address
 
 Location = tuple[str, ...]
 #: Largest range of a joint with stops [rad]. The widest wrists turn 7.5 times to either side; a description in degrees
@@ -236,7 +236,9 @@ def _motion_contradictions(
 
 def _controller_faults(controller: ControllerSection) -> Iterator[tuple[Location, str]]:
     if controller.driver not in registry.available():
-        message = f"there is no driver {place_of(controller.driver)!r}; allowed are {', '.join(registry.available())}"
+        message = (
+            f"there is no driver {public_address(controller.driver)!r}; allowed are {', '.join(registry.available())}"
+        )
         yield ("controller", "driver"), message
         return
     try:

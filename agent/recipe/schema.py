@@ -31,7 +31,7 @@ from agent.recipe.quantities import (
     ToolPose,
     ToolPosition,
 )
-from drivers.texts import place_of
+from drivers.texts import public_address
 
 #: Estimators that `estimate.method` may name; `auto` lets held-out error choose.
 ESTIMATION_METHODS = ("auto", "weighted", "huber", "consistent", "paper", "plain")
@@ -68,7 +68,7 @@ class ControllerSection(RecipeSection):
     @property
     def public_address(self) -> str:
         """The address without its options, for people."""
-        return place_of(self.address)
+        return public_address(self.address)
 
 
 class BoxBounds(RecipeSection):

@@ -62,11 +62,11 @@ class RigidBodies:
         """(S, Σ b_i) what is other than zero of `columns`: for each joint those that `support` lists."""
         joints = np.repeat(np.arange(self.robot.dof), [len(support) for support in self.support])
         standard = self.independent[np.concatenate(self.support)]
-        place = joints * ParameterLayout.of(self.robot).size + standard
-        columns = np.empty((len(place), len(q)))
+        rows = joints * ParameterLayout.of(self.robot).size + standard
+        columns = np.empty((len(rows), len(q)))
         for part in _chunks(len(q)):
             regressor = self._regressor(q[part], qd[part], qdd[part])
-            columns[:, part] = regressor.reshape(len(regressor), -1)[:, place].T
+            columns[:, part] = regressor.reshape(len(regressor), -1)[:, rows].T
         return columns.T
 
     def torque(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, parameters: np.ndarray) -> np.ndarray:

@@ -92,14 +92,14 @@ def _check_numbers(path: Path | str, root: Element) -> None:
                     values = [float(word) for word in text.split()]
                 except ValueError:
                     values = [np.nan]
-                place = f"{owner.tag} {owner.get('name')!r}: {element.tag} {key}"
+                attribute = f"{owner.tag} {owner.get('name')!r}: {element.tag} {key}"
                 if not np.isfinite(values).all():
-                    raise InputError(f"{path}: {place}: finite numbers are expected, not {text!r}")
+                    raise InputError(f"{path}: {attribute}: finite numbers are expected, not {text!r}")
                 if len(values) != (3 if key in _THREE else 1):
                     wanted = "three numbers" if key in _THREE else "one number"
-                    raise InputError(f"{path}: {place} is {wanted}, not {text!r}")
+                    raise InputError(f"{path}: {attribute} is {wanted}, not {text!r}")
                 if key in _NOT_NEGATIVE.get(element.tag, ()) and min(values) < 0:
-                    raise InputError(f"{path}: {place}: {text} is below zero; no body is like that")
+                    raise InputError(f"{path}: {attribute}: {text} is below zero; no body is like that")
 
 
 def _check_inertials(path: Path | str, root: Element) -> None:

@@ -119,8 +119,8 @@ def approved_parts(run: Path, state: dict[str, Any]) -> dict[str, Any]:
 def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
     """Differences between two problems, in one sentence for people."""
     by_part: dict[str, list[str]] = {}
-    for place, before, after in _differing(then, now):
-        part, detail = _where(place)
+    for keys, before, after in _differing(then, now):
+        part, detail = _where(keys)
         by_part.setdefault(part, []).append(f"{detail} {_change(before, after)}".strip())
     return "; ".join(
         f"{part} differs from the one this run was planned with: {', '.join(changes[:_MAX_LISTED])}"
@@ -129,14 +129,14 @@ def differences(then: dict[str, Any], now: dict[str, Any]) -> str:
     )
 
 
-def _where(place: tuple[str, ...]) -> tuple[str, str]:
+def _where(keys: tuple[str, ...]) -> tuple[str, str]:
     """The file or part, and the key in it."""
-    if place[:2] == ("robot", "urdf"):
+    if keys[:2] == ("robot", "urdf"):
         return "the URDF", ""
-    if place[:2] == ("robot", "joints"):
-        inner = place[2:]
+    if keys[:2] == ("robot", "joints"):
+        inner = keys[2:]
         return ("the URDF" if inner[1:] and inner[1] in ("lower", "upper") else _NAMES["robot"]), " ".join(inner)
-    return _NAMES.get(place[0], place[0]), ".".join(place[1:])
+    return _NAMES.get(keys[0], keys[0]), ".".join(keys[1:])
 
 
 def _change(before: Any, after: Any) -> str:
@@ -154,16 +154,16 @@ def _short(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}…"
 
 
-def _differing(then: Any, now: Any, place: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
+def _differing(then: Any, now: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
     """(key, before, after) of every leaf that differs."""
     if then == now:
         return
     before, after = _by_name(then), _by_name(now)
     if before is None or after is None:
-        yield place, then, now
+        yield keys, then, now
         return
     for key in [*before, *(key for key in after if key not in before)]:
-        yield from _differing(before.get(key, _ABSENT), after.get(key, _ABSENT), (*place, key))
+        yield from _differing(before.get(key, _ABSENT), after.get(key, _ABSENT), (*keys, key))
 
 
 def _by_name(value: Any) -> dict[str, Any] | None:

@@ -56,8 +56,8 @@ def current_model(logs: Path, robot: str, serial: str) -> Applied | None:
     Raises:
         InputError: what is there is damaged.
     """
-    place = _place(logs, robot, serial)
-    return _about(place / "current") if (place / "current").is_symlink() else None
+    folder = _model_folder(logs, robot, serial)
+    return _about(folder / "current") if (folder / "current").is_symlink() else None
 
 
 def apply_run(logs: Path, run: Path) -> Applied:
@@ -83,15 +83,15 @@ def apply_run(logs: Path, run: Path) -> Applied:
     read_parameters(run)  # refuses a damaged model
     if accepted != sha256:
         raise InputError(f"{model}: this is not the model that was accepted (SHA-256 differs); it was changed since")
-    place = _place(logs, past.robot, past.serial)
+    folder = _model_folder(logs, past.robot, past.serial)
     try:
         before = current_model(logs, past.robot, past.serial)
     except InputError:  # damaged: applying a run repairs it
         before = None
     if before is not None and before.sha256 == sha256 and before.run == past.run:
         return before
-    with _writable(place):
-        version = _fresh(place / "versions")
+    with _writable(folder):
+        version = _fresh(folder / "versions")
         with written_whole(version / "model.json") as fresh:
             shutil.copyfile(model, fresh)
         about = {
@@ -101,11 +101,11 @@ def apply_run(logs: Path, run: Path) -> Applied:
             "serial": past.serial,
             "sha256": sha256,
             "applied": datetime.now(UTC).isoformat(timespec="seconds"),
-            "previous": os.path.basename(os.readlink(place / "current")) if before is not None else None,
+            "previous": os.path.basename(os.readlink(folder / "current")) if before is not None else None,
         }
         write_json(version / "about.json", about)
-        _point(place, version.name)
-    return _about(place / "current")
+        _point(folder, version.name)
+    return _about(folder / "current")
 
 
 def current_runs(logs: Path) -> tuple[set[str], list[str]]:
@@ -117,10 +117,10 @@ def current_runs(logs: Path) -> tuple[set[str], list[str]]:
 def _all_current(logs: Path) -> tuple[dict[Path, Applied], list[str]]:
     """Current models by their key, and the damaged ones."""
     current, damaged = {}, []
-    for place in sorted((logs / _FOLDER).glob("*")):
+    for folder in sorted((logs / _FOLDER).glob("*")):
         try:
-            if (place / "current").is_symlink():
-                current[place] = _about(place / "current")
+            if (folder / "current").is_symlink():
+                current[folder] = _about(folder / "current")
         except InputError as error:
             damaged.append(str(error))
     return current, damaged
@@ -151,13 +151,13 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     if len(places) > 1:
         names = ", ".join(f"{about.robot} {about.serial}".strip() for _, about in places)
         raise InputError(f"several robots have a current model ({names}); say which with --robot and --serial")
-    place, about = places[0]
+    folder, about = places[0]
     if about.previous is None:
-        raise InputError(f"{place}: {about.run} was the first model applied; there is none before it")
-    _about(place / "versions" / about.previous)  # refuses a damaged one
-    with _writable(place):
-        _point(place, about.previous)
-    return _about(place / "current")
+        raise InputError(f"{folder}: {about.run} was the first model applied; there is none before it")
+    _about(folder / "versions" / about.previous)  # refuses a damaged one
+    with _writable(folder):
+        _point(folder, about.previous)
+    return _about(folder / "current")
 
 
 def register_run(run: RunFolder, console: Console) -> None:
@@ -183,7 +183,7 @@ def _about(version: Path) -> Applied:
     return applied
 
 
-def _place(logs: Path, robot: str, serial: str) -> Path:
+def _model_folder(logs: Path, robot: str, serial: str) -> Path:
     """The folder of one machine; a name that another machine could have too ends in a digest."""
     name = re.sub(r"[^A-Za-z0-9._-]", "_", f"{robot}_{serial}" if serial else robot)[:_LONGEST_NAME]
     unique = serial and name == f"{robot}_{serial}" and "_" not in serial
@@ -199,15 +199,15 @@ def _fresh(versions: Path) -> Path:
 
 
 @contextlib.contextmanager
-def _writable(place: Path) -> Iterator[None]:
+def _writable(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise AgentError(f"{place}: the model cannot be applied: {error.strerror}; free space or rights?") from None
+        raise AgentError(f"{folder}: the model cannot be applied: {error.strerror}; free space or rights?") from None
 
 
-def _point(place: Path, version: str) -> None:
-    fresh = place / f".current.{os.getpid()}"
+def _point(folder: Path, version: str) -> None:
+    fresh = folder / f".current.{os.getpid()}"
     fresh.unlink(missing_ok=True)
     fresh.symlink_to(Path("versions") / version)
-    os.replace(fresh, place / "current")
+    os.replace(fresh, folder / "current")

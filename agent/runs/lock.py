@@ -21,7 +21,7 @@ from pathlib import Path
 
 from agent.core import AgentError, BusyError
 from drivers.endpoints import endpoints
-from drivers.texts import place_of
+from drivers.texts import public_address
 
 #: Folders that every user may write to; the first that exists. The temporary folder may differ by user.
 FOLDERS = (Path("/run/lock"), Path("/tmp"))
@@ -45,7 +45,7 @@ def robot_lock(driver: str, address: str) -> Iterator[None]:
     """
     with contextlib.ExitStack() as locks:
         for endpoint in endpoints(driver, address):
-            locks.enter_context(_locked(endpoint, f"{driver} {place_of(address)}"))
+            locks.enter_context(_locked(endpoint, f"{driver} {public_address(address)}"))
         yield
 
 

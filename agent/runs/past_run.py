@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from agent.core import InputError, error_text, read_json, sha256_text
-from drivers.texts import place_of
+from drivers.texts import public_address
 
 #: Difference between two clocks that still counts as normal.
 AHEAD = timedelta(minutes=5)
@@ -29,10 +29,10 @@ _KEYED = re.compile(r"\S+ \S*,… [0-9a-f]{12}")
 def controller_key(text: str) -> str:
     """Driver and address of a controller; the address's options, which may be secret, are replaced by a digest."""
     driver, _, address = text.partition(" ")
-    place = place_of(address)
-    if place == address or _KEYED.fullmatch(text):
+    public = public_address(address)
+    if public == address or _KEYED.fullmatch(text):
         return text
-    return f"{driver} {place} {sha256_text(address)[:12]}"
+    return f"{driver} {public} {sha256_text(address)[:12]}"
 
 
 @dataclass(frozen=True)

@@ -164,9 +164,9 @@ def left_out(model: IdentifiedModel, friction: np.ndarray) -> Iterator[str]:
     """
     _, q, qd, qdd = usual_motion(model.robot, model.fastest)
     for entry in model.effects:
-        place = f" of {', '.join(entry.joints)}" if entry.joints else ""
+        joints_text = f" of {', '.join(entry.joints)}" if entry.joints else ""
         of = "" if CATALOGUE[entry.effect].moves_arm else ", of what the robot measures, not of how it moves"
-        yield f"{entry.effect}{place} ({torque_text(model, entry)}{of})"
+        yield f"{entry.effect}{joints_text} ({torque_text(model, entry)}{of})"
     speed = qd @ model.robot.coupling.T
     line = (friction[:, 0] * speed + friction[:, 1] * np.sign(speed)) @ model.robot.coupling
     sharp = tuple(term if term.reversal is None else replace(term, reversal=Reversal()) for term in model.terms)

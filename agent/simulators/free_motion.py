@@ -171,8 +171,8 @@ class FreeSimulator:
         """Names of pairs of bodies that reach into each other where the joints are at `positions` (S, n)."""
         mujoco, model = self._mujoco, self.model
         data, pairs = mujoco.MjData(model), set()
-        for place in positions:
-            data.qpos[self._at] = place
+        for q in positions:
+            data.qpos[self._at] = q
             mujoco.mj_fwdPosition(model, data)
             contact = data.contact
             for geoms in contact.geom[contact.dist < 0]:
@@ -187,11 +187,11 @@ class FreeSimulator:
         """The same arm with a load: standard parameters (10,) that its link gains; as it is where no body has them."""
         body = self.arm.carrying[self.arm.robot.load_link]
         loaded, model = copy(self), copy(self.model)
-        place, back = model.body(body.name).id, np.linalg.inv(body.pose)
+        index, back = model.body(body.name).id, np.linalg.inv(body.pose)
         matrix = np.empty(9)
-        self._mujoco.mju_quat2Mat(matrix, model.body_iquat[place])
-        mass, centre, rotation = model.body_mass[place], model.body_ipos[place], matrix.reshape(3, 3)
-        spread = rotation @ np.diag(0.5 * model.body_inertia[place].sum() - model.body_inertia[place]) @ rotation.T
+        self._mujoco.mju_quat2Mat(matrix, model.body_iquat[index])
+        mass, centre, rotation = model.body_mass[index], model.body_ipos[index], matrix.reshape(3, 3)
+        spread = rotation @ np.diag(0.5 * model.body_inertia[index].sum() - model.body_inertia[index]) @ rotation.T
         own = np.block([[spread + mass * np.outer(centre, centre), mass * centre[:, None]], [mass * centre, mass]])
         whole = own + back @ pseudo_inertia(load) @ back.T
         mass, centre = whole[3, 3], whole[:3, 3] / whole[3, 3]
@@ -199,11 +199,11 @@ class FreeSimulator:
         if mass <= 0 or values[0] <= 0:
             return self
         axes[:, 0] *= np.sign(np.linalg.det(axes))
-        model.body_mass[place], model.body_ipos[place] = mass, centre
-        model.body_inertia[place] = values.sum() - values
+        model.body_mass[index], model.body_ipos[index] = mass, centre
+        model.body_inertia[index] = values.sum() - values
         quaternion = np.empty(4)
         self._mujoco.mju_mat2Quat(quaternion, axes.ravel())
-        model.body_iquat[place] = quaternion
+        model.body_iquat[index] = quaternion
         self._mujoco.mj_setConst(model, self._mujoco.MjData(model))
         loaded.model = model
         return loaded
@@ -278,15 +278,15 @@ class FreeSimulator:
         self._mujoco.mj_getState(model, data, state, kinds.mjSTATE_FULLPHYSICS)
         after, _ = self._rollout([model], [data], state[None], inputs[None], control_spec=spec)
         states = np.concatenate([state[None], after[0]])
-        place, speed = states[:, 1 + self._at], states[:, 1 + model.nq + self._dof]
+        position, speed = states[:, 1 + self._at], states[:, 1 + model.nq + self._dof]
         if not np.all(np.abs(speed) < LOST):
             return None
-        torque = self._servos(numbers).torque(asked, place[:-1], speed[:-1])
+        torque = self._servos(numbers).torque(asked, position[:-1], speed[:-1])
         low, high = self.servos.low, self.servos.high
         sticking = np.abs(speed[:-1]) < numbers.friction / np.maximum(self.creep * self._inertia(numbers, data), 1e-12)
         return FreeMotion(
             time,
-            place[:-1],
+            position[:-1],
             speed[:-1],
             np.diff(speed, axis=0) / self.step,
             np.clip(torque, low, high),

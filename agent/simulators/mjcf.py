@@ -78,28 +78,28 @@ def compiled(path: Path, excluded: Sequence[tuple[str, str]] = ()) -> Any:
     """
     mujoco = mujoco_package()
     with tempfile.TemporaryDirectory(prefix="calibration-agent-") as folder:
-        place = Path(folder) / "arm.mjb"
-        complaint = _compile_apart(path, place, excluded)
-        if not place.is_file():
+        binary = Path(folder) / "arm.mjb"
+        complaint = _compile_apart(path, binary, excluded)
+        if not binary.is_file():
             missing = (
                 ". Files that it includes, meshes too, belong where it names them"
                 if "opening file" in complaint
                 else ""
             )
             raise InputError(f"{path}: MuJoCo does not accept it: {complaint}{missing}")
-        return mujoco.MjModel.from_binary_path(str(place))
+        return mujoco.MjModel.from_binary_path(str(binary))
 
 
-def _compile_apart(path: Path, place: Path, excluded: Sequence[tuple[str, str]]) -> str:
-    """Compile in a separate process, which writes the model to the path `place`; return MuJoCo's messages.
+def _compile_apart(path: Path, binary: Path, excluded: Sequence[tuple[str, str]]) -> str:
+    """Compile in a separate process, which writes the model to the path `binary`; return MuJoCo's messages.
 
     A few lines may ask for a hundred million bodies, and nothing ends MuJoCo on the way: the process has a limit of
     processor time and memory, and is ended with this one.
     """
-    told_apart = (str(path.resolve()), str(place), json.dumps(list(excluded)), str(_SECONDS), str(_MEMORY))
+    told_apart = (str(path.resolve()), str(binary), json.dumps(list(excluded)), str(_SECONDS), str(_MEMORY))
     command = [sys.executable, "-c", _COMPILE, *told_apart]
     blind = {**os.environ, "MUJOCO_GL": "disable"}  # nothing is drawn: a library for windows is not loaded
-    with subprocess.Popen(command, cwd=place.parent, env=blind, stdout=-1, stderr=-3, stdin=-3) as process:
+    with subprocess.Popen(command, cwd=binary.parent, env=blind, stdout=-1, stderr=-3, stdin=-3) as process:
         try:
             told, _ = process.communicate(timeout=10 * _SECONDS)
         except subprocess.TimeoutExpired:

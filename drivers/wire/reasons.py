@@ -65,6 +65,6 @@ def refusal_error(peer: str, what: str, code: int, line: int, column: int, messa
         reason = Refusal(code).name.lower().replace("_", " ")
     except ValueError:
         reason = f"reason {code}"
-    place = f", line {line} column {column}" if line else ""
+    position = f", line {line} column {column}" if line else ""
     kind = SafetyRefused if code == Refusal.EMERGENCY_STOP else RefusedError
-    return kind(f"the controller at {peer} refused {what}: {reason}{place}: {message}")
+    return kind(f"the controller at {peer} refused {what}: {reason}{position}: {message}")

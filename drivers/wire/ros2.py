@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.texts import MANY, NAME, place_of, printable
+from drivers.texts import MANY, NAME, printable, public_address
 
 JOINT_STATES, DESCRIPTION, MANAGER = "joint_states", "robot_description", "controller_manager"
 _ADDRESS = re.compile(r"ros2://(\d{1,3})((?:/[A-Za-z_]\w*)+)((?:,beside=[\w/]+)*)", re.ASCII)
@@ -47,7 +47,7 @@ class RosAddress:
         match = _ADDRESS.fullmatch(str(address).strip())
         if match is None or int(match[1]) > _DOMAINS:
             raise ConfigurationError(
-                f"address {place_of(address)!r}: ros2://DOMAIN/NAMESPACE/CONTROLLER is expected, such as "
+                f"address {public_address(address)!r}: ros2://DOMAIN/NAMESPACE/CONTROLLER is expected, such as "
                 f"ros2://0/joint_trajectory_controller; the domain is 0 to {_DOMAINS}, a namespace may be left out"
             )
         *namespace, controller = match[2].strip("/").split("/")
@@ -124,7 +124,7 @@ class JointReader(Generic[Read]):
             ProtocolError: another type, or damaged.
         """
         try:
-            if not (self._known and all(data.startswith(text, place) for place, text in self._known)):
+            if not (self._known and all(data.startswith(text, offset) for offset, text in self._known)):
                 self._look(data)
             at = self._begin
             arrays = []

@@ -44,8 +44,8 @@ class ProgramFault:
     fatal: bool = True
 
     def __str__(self) -> str:
-        place = f"line {self.line} column {self.column}: " if self.line else ""
-        return f"{place}{printable(self.message, ALARM)}"
+        position = f"line {self.line} column {self.column}: " if self.line else ""
+        return f"{position}{printable(self.message, ALARM)}"
 
 
 @dataclass(frozen=True)

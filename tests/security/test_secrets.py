@@ -19,7 +19,7 @@ from agent.recipe import load_recipe
 from drivers.errors import ConfigurationError, DriverError
 from drivers.registry import available, create
 from drivers.secrets import read_secret
-from drivers.texts import hidden_forms, hide, hide_all, place_of
+from drivers.texts import hidden_forms, hide, hide_all, public_address
 from drivers.transports.cnr.address import parse_address
 from drivers.transports.cnr.files import ProgramFolder
 from fake_controller.build import build_controller
@@ -231,7 +231,7 @@ def test_address_options_of_a_recipe_are_not_printed(tmp_path: Path, slip: str, 
 
 @given(st.text(st.sampled_from("ab1.:/@,;?=&# [%]é"), max_size=12), st.sampled_from(",;?#& @="))
 def test_a_password_is_looked_up_without_address_options(before: str, joint: str):
-    shown = place_of(f"{before}{joint}hunter22")
+    shown = public_address(f"{before}{joint}hunter22")
     assert "hunter22" not in shown
     assert not shown.removesuffix(",…") or f"{before}{joint}".startswith(shown.removesuffix(",…"))
 
@@ -242,8 +242,8 @@ def test_a_password_is_looked_up_without_address_options(before: str, joint: str
      "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0-port0", "socket://127.0.0.1:4000", r"\\.\COM10"],
 )  # fmt: skip
 def test_prints_a_plain_address_in_full(address: str):
-    assert place_of(address) == address
-    assert place_of(f"{address},115200") == f"{address},…"
+    assert public_address(address) == address
+    assert public_address(f"{address},115200") == f"{address},…"
 
 
 def test_user_and_folder_echoed_by_a_server_are_not_printed(ftp_folder):

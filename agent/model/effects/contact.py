@@ -2,7 +2,7 @@
 
 The search runs in four steps: windows in which a constant force on a link leaves the least error (`Windows`), the
 windows that stand out from all others (`strongest`), the shape of the force in each (`shaped`), and the point on the
-link where each force acts (`place_of`).
+link where each force acts (`force_point`).
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Contact(Effect):
         tried = [_settings(pushes[:count]) for pushes in sets for count in range(1, len(pushes) + 1)]
         in_shape = [[shaped(push, motions) for push in pushes] for pushes in sets]
         tried += [_settings(pushes) for pushes in in_shape]
-        tried += [_settings(pushes, [place_of(push, motions) for push in pushes]) for pushes in (*sets, *in_shape)]
+        tried += [_settings(pushes, [force_point(push, motions) for push in pushes]) for pushes in (*sets, *in_shape)]
         return list({str(entry): entry for entry in tried}.values())
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
@@ -89,7 +89,7 @@ class Contact(Effect):
         n = signals.q.shape[1]
         numbers = _numbers(settings)
         block = np.zeros((len(signals.time), n, 3 * len(numbers)))
-        for place, number in enumerate(numbers):
+        for index, number in enumerate(numbers):
             log, link, start, lasting = (settings[f"{key}_{number}"] for key in ("log", "link", "start", "duration"))
             if signals.log_index != log:
                 continue
@@ -98,7 +98,7 @@ class Contact(Effect):
             inside = window > 0
             at = [settings.get(f"{axis}_{number}", 0.0) for axis in "xyz"]
             pushed = np.swapaxes(signals.pushed(int(link) - 1, inside, at), 1, 2)
-            block[inside, :, 3 * place : 3 * place + 3] = -pushed * window[inside, None, None]
+            block[inside, :, 3 * index : 3 * index + 3] = -pushed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
@@ -128,8 +128,8 @@ def _settings(pushes: Sequence[PushedWindow], places: Sequence[np.ndarray | None
         of_push = {"log": push.log, "link": push.link + 1, "start": push.start, "duration": push.duration}
         if (push.rise, push.fall) != (_EDGE, _EDGE):
             of_push |= {"rise": push.rise, "fall": push.fall}
-        if places and (place := places[number - 1]) is not None:
-            of_push |= dict(zip("xyz", place.tolist(), strict=True))
+        if places and (point := places[number - 1]) is not None:
+            of_push |= dict(zip("xyz", point.tolist(), strict=True))
         entries |= {f"{key}_{number}": float(value) for key, value in of_push.items()}
     return entries
 
@@ -470,7 +470,7 @@ def _around(push: PushedWindow, motions: Motions) -> tuple[np.ndarray, np.ndarra
     return time, columns, error
 
 
-def place_of(push: PushedWindow, motions: Motions) -> np.ndarray | None:
+def force_point(push: PushedWindow, motions: Motions) -> np.ndarray | None:
     """(3,) [m] from the far end of a push's link, in the link's frame; None where that would be off the link.
 
     The torque J(p)ᵀ F of a force F at a point p of the link is linear in F for fixed p, and in p for fixed F. So both
@@ -496,14 +496,14 @@ def place_of(push: PushedWindow, motions: Motions) -> np.ndarray | None:
         reference = signals.reference  # a link that is short in one direction is as large as the mean one in another
         length = float(np.linalg.norm(reference.links.link_ends()[push.link]))
         farthest = max(length, reference.reach / reference.robot.dof)
-    place = np.zeros(3)
+    point = np.zeros(3)
     for _ in range(_ROUNDS):
-        of_force = np.kron(np.append(1.0, place), np.eye(3)).T
+        of_force = np.kron(np.append(1.0, point), np.eye(3)).T
         force = _solved(of_force.T @ moments @ of_force, of_force.T @ side)
         fixed = np.concatenate([force, np.zeros(9)])
-        of_place = np.vstack([np.zeros((3, 3)), np.kron(np.eye(3), force[:, None])])
-        place = _solved(of_place.T @ moments @ of_place, of_place.T @ (side - moments @ fixed))
-    return place if np.linalg.norm(place) < farthest else None
+        of_point = np.vstack([np.zeros((3, 3)), np.kron(np.eye(3), force[:, None])])
+        point = _solved(of_point.T @ moments @ of_point, of_point.T @ (side - moments @ fixed))
+    return point if np.linalg.norm(point) < farthest else None
 
 
 def _solved(moments: np.ndarray, side: np.ndarray) -> np.ndarray:

@@ -62,8 +62,8 @@ class TorqueRipple(Effect):
         speeds = []
         for signals, residual, sigma in zip(context.signals, context.residuals, context.sigmas, strict=True):
             position = signals.axles.position[signals.kept, axle]
-            place = np.clip(((position - low) / (high - low) * bins).astype(int), 0, bins - 1)
-            np.add.at(sums, place, residual[:, axle] / sigma[:, axle] ** 2)
+            bin_of_sample = np.clip(((position - low) / (high - low) * bins).astype(int), 0, bins - 1)
+            np.add.at(sums, bin_of_sample, residual[:, axle] / sigma[:, axle] ** 2)
             speeds.append(np.abs(signals.axles.speed[signals.kept, axle]))
         size = _FINE * bins
         power = np.abs(np.fft.rfft(sums, size)) ** 2

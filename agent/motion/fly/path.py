@@ -106,9 +106,9 @@ def build_path(
 def motion_error(error: KinematicsError, move: int, label: str) -> MotionError:
     """A refusal of the kinematics, as the fault of one move."""
     # The kinematics counts samples of the path, which the reader of the message never sees.
-    place = re.sub(r"between poses \d+ and \d+, | \(pose \d+\)", "", str(error))
-    place = re.sub(r"\bpose \d+ at", "the point at", place)
-    return MotionError(f"{label}: {place}", move, _LIMITS.get(error.reason, error.reason), error.excess)
+    text = re.sub(r"between poses \d+ and \d+, | \(pose \d+\)", "", str(error))
+    text = re.sub(r"\bpose \d+ at", "the point at", text)
+    return MotionError(f"{label}: {text}", move, _LIMITS.get(error.reason, error.reason), error.excess)
 
 
 def solve_cartesian(

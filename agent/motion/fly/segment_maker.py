@@ -238,8 +238,8 @@ def _end_of_sweep(segment: CartesianSegment, q: np.ndarray, step: float = _SWEEP
 
 
 def _label(index: int, move: Move) -> str:
-    place = [part for part in (move.name, f"line {move.line}" if move.line else "") if part]
-    return f"statement {index + 1}" + (f" ({', '.join(place)})" if place else "")
+    names = [part for part in (move.name, f"line {move.line}" if move.line else "") if part]
+    return f"statement {index + 1}" + (f" ({', '.join(names)})" if names else "")
 
 
 def _check(settings: PathSettings, label: str) -> None:

@@ -16,7 +16,7 @@ from agent.motion.pdl2.evaluation import (
     evaluate,
     setting_value,
 )
-from agent.motion.pdl2.syntax import Pdl2Error, place_of
+from agent.motion.pdl2.syntax import Pdl2Error, position_of
 from agent.motion.pdl2.variables import PREDEFINED
 
 if TYPE_CHECKING:
@@ -56,19 +56,19 @@ def _check_header(program: syntax.ProgramTree) -> None:
         name = attribute.word.upper()
         if name not in _ATTRIBUTES or name in attributes:
             known = ", ".join(_ATTRIBUTES)
-            raise Pdl2Error(f"is given twice or is not an attribute known here ({known})", attribute.place)
+            raise Pdl2Error(f"is given twice or is not an attribute known here ({known})", attribute.position)
         attributes[name] = attribute
         allowed = _ATTRIBUTES[name]
         if (allowed is None) != (attribute.value is None):
-            raise Pdl2Error("takes no value" if allowed is None else "takes '=' and an integer", attribute.place)
+            raise Pdl2Error("takes no value" if allowed is None else "takes '=' and an integer", attribute.position)
         if allowed and attribute.value and not allowed[0] <= int(attribute.value.value) <= allowed[1]:
-            raise Pdl2Error(f"{name} is in {allowed[0]}..{allowed[1]} here", attribute.value.place)
+            raise Pdl2Error(f"{name} is in {allowed[0]}..{allowed[1]} here", attribute.value.position)
     if {"HOLD", "NOHOLD"} <= attributes.keys():
-        raise Pdl2Error("a program is HOLD or NOHOLD, not both", program.attributes[-1].place)
+        raise Pdl2Error("a program is HOLD or NOHOLD, not both", program.attributes[-1].position)
     if "NOHOLD" in attributes:
-        raise Pdl2Error("a NOHOLD program cannot move the arm; write HOLD", attributes["NOHOLD"].place)
+        raise Pdl2Error("a NOHOLD program cannot move the arm; write HOLD", attributes["NOHOLD"].position)
     if program.end.lower() != program.name:
-        raise Pdl2Error(f"END names the program, which is {program.word}", place_of(program.end))
+        raise Pdl2Error(f"END names the program, which is {program.word}", position_of(program.end))
 
 
 class _Declarations:
@@ -86,7 +86,7 @@ class _Declarations:
         initial = None
         if value is not None:
             if data_type is not None and data_type.size is not None:
-                raise Pdl2Error("an array has no initial value here; assign its elements", value.place)
+                raise Pdl2Error("an array has no initial value here; assign its elements", value.position)
             initial = evaluate(value, self._constants, *(assignable(data_type.name) if data_type else ()))
         for word in declaration.words:
             name = self._new(word)
@@ -104,23 +104,23 @@ class _Declarations:
         """The name of a word that is not declared yet."""
         name = word.lower()
         if name in PREDEFINED or name in _DATA_TYPES:
-            raise Pdl2Error("is a predefined word and cannot be declared", place_of(word))
+            raise Pdl2Error("is a predefined word and cannot be declared", position_of(word))
         if name in self.scope.constants or name in self.scope.variables or name in self._types:
-            raise Pdl2Error("is declared twice", place_of(word))
+            raise Pdl2Error("is declared twice", position_of(word))
         return name
 
     def _data_type(self, named: syntax.NamedType) -> DataType:
         data_type = self._types.get(named.name)
         if data_type is None:
             reason = "is not a data type known here (INTEGER, REAL, BOOLEAN, POSITION, JOINTPOS)"
-            raise Pdl2Error(reason, named.place)
+            raise Pdl2Error(reason, named.position)
         if named.size is None:
             return data_type
         size = evaluate(named.size, self._constants)
         if isinstance(size, bool) or not isinstance(size, int) or not 1 <= size <= MAX_ARRAY:
-            raise Pdl2Error(f"the size of an array is an integer in 1..{MAX_ARRAY}", named.size.place)
+            raise Pdl2Error(f"the size of an array is an integer in 1..{MAX_ARRAY}", named.size.position)
         if data_type.size is not None:
-            raise Pdl2Error("is an array already; arrays of arrays are not read here", named.place)
+            raise Pdl2Error("is an array already; arrays of arrays are not read here", named.position)
         return DataType(data_type.name, size)
 
 
@@ -148,12 +148,12 @@ def _check_move(statement: syntax.MoveStatement, memory: Memory) -> None:
     if statement.via is not None:
         evaluate(statement.via, memory, "POS", "JOINTPOS")
         if statement.trajectory in ("LINEAR", "JOINT"):
-            raise Pdl2Error(f"VIA belongs to a CIRCULAR move, not to {statement.trajectory}", statement.via.place)
+            raise Pdl2Error(f"VIA belongs to a CIRCULAR move, not to {statement.trajectory}", statement.via.position)
     elif statement.trajectory == "CIRCULAR":
-        raise Pdl2Error("a CIRCULAR move needs VIA and a point", statement.place)
+        raise Pdl2Error("a CIRCULAR move needs VIA and a point", statement.position)
     names: set[str] = set()
     for setting in statement.settings:
         setting_value(setting, setting.value, memory)
         if setting.name in names:
-            raise Pdl2Error("is set twice in this move", setting.place)
+            raise Pdl2Error("is set twice in this move", setting.position)
         names.add(setting.name)

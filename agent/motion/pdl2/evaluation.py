@@ -101,7 +101,7 @@ def evaluate(node: syntax.Expression, memory: Memory, *wanted: str) -> Value:
     type_ = _type(value)
     if wanted and type_ not in wanted:
         article = "predefined constant" if type_ == "predefined" else type_
-        raise Pdl2Error(f"is {article} where {' or '.join(wanted)} is needed", node.place)
+        raise Pdl2Error(f"is {article} where {' or '.join(wanted)} is needed", node.position)
     return value
 
 
@@ -114,11 +114,11 @@ def subscript(node: syntax.Element, memory: Memory) -> int:
     """The index of an array element, from 1."""
     data_type = _declared(node, memory)
     if data_type.size is None:
-        raise Pdl2Error(f"is {data_type}, not an array", node.place)
+        raise Pdl2Error(f"is {data_type}, not an array", node.position)
     index: Any = _operand(node.index, memory, "a subscript", ("INTEGER",))
     if not (memory.checking or 1 <= index <= data_type.size):
         reason = f"the subscript of {node.word} is {index}; its elements are 1..{data_type.size}"
-        raise Pdl2Error(reason, node.index.place)
+        raise Pdl2Error(reason, node.index.position)
     return int(index)
 
 
@@ -133,7 +133,7 @@ def assigned_value(target: syntax.Name | syntax.Element, value: syntax.Expressio
         subscript(target, memory)
     data_type = _declared(target, memory)
     if data_type.size is not None and isinstance(target, syntax.Name):
-        raise Pdl2Error(f"is {data_type}; name one element as {target.word}[i]", target.place)
+        raise Pdl2Error(f"is {data_type}; name one element as {target.word}[i]", target.position)
     evaluated: Any = evaluate(value, memory, *assignable(data_type.name))
     return float(evaluated) if data_type.name == "REAL" else evaluated
 
@@ -147,18 +147,18 @@ def setting_value(target: syntax.System, value: syntax.Expression, memory: Memor
     variable = _system(target)
     if variable.choices is not None and isinstance(value, syntax.Name) and value.name in PREDEFINED:
         if refusal := variable.refusal(PREDEFINED[value.name]):
-            raise Pdl2Error(f"{target.name} {refusal}", value.place)
+            raise Pdl2Error(f"{target.name} {refusal}", value.position)
         return PREDEFINED[value.name]
     evaluated = evaluate(value, memory, *assignable(variable.kind))
     if not memory.checking and (refusal := variable.refusal(evaluated)):  # type: ignore[arg-type]  # none is of joints
-        raise Pdl2Error(refusal, target.place)
+        raise Pdl2Error(refusal, target.position)
     return evaluated
 
 
 def check_variable(target: syntax.Name | syntax.Element, memory: Memory) -> None:
     """Raise Pdl2Error if a constant is used where a variable is required."""
     if target.name in memory.constants or target.name in PREDEFINED:
-        raise Pdl2Error("is a constant and cannot be assigned", target.place)
+        raise Pdl2Error("is a constant and cannot be assigned", target.position)
 
 
 def _value(node: syntax.Expression, memory: Memory) -> Value:
@@ -171,7 +171,7 @@ def _value(node: syntax.Expression, memory: Memory) -> Value:
                 return known
             data_type = _declared(node, memory)
             if data_type.size is not None:
-                raise Pdl2Error(f"is {data_type}; name one element as {node.word}[i]", node.place)
+                raise Pdl2Error(f"is {data_type}; name one element as {node.word}[i]", node.position)
             return _held(node, data_type, memory, node.name, node.word)
         case syntax.Element():
             index = subscript(node, memory)
@@ -179,13 +179,13 @@ def _value(node: syntax.Expression, memory: Memory) -> Value:
         case syntax.System():
             kind = _system(node).kind
             if memory.types is None:
-                raise Pdl2Error("is a variable where a constant is needed", node.place)
+                raise Pdl2Error("is a variable where a constant is needed", node.position)
             return _SPECIMENS[kind] if memory.checking else read(node.name, memory.system)  # type: ignore[arg-type]
         case syntax.PosLiteral():
             return _pos(node, memory)
         case syntax.JointLiteral():
             if len(node.fields) > MAX_JOINTS:
-                raise Pdl2Error(f"a JOINTPOS has at most {MAX_JOINTS} joints, not {len(node.fields)}", node.place)
+                raise Pdl2Error(f"a JOINTPOS has at most {MAX_JOINTS} joints, not {len(node.fields)}", node.position)
             return syntax.Joints(_numbers(node.fields, memory, "a JOINTPOS"))
         case syntax.Operation():
             return _operated(node, memory)
@@ -199,7 +199,7 @@ def _type(value: object) -> str:
 def _declared(node: syntax.Name | syntax.Element, memory: Memory) -> DataType:
     data_type = None if memory.types is None else memory.types.get(node.name)
     if data_type is None:
-        raise Pdl2Error("is not a constant known here" if memory.types is None else "is not declared", node.place)
+        raise Pdl2Error("is not a constant known here" if memory.types is None else "is not declared", node.position)
     return data_type
 
 
@@ -207,20 +207,20 @@ def _held(node: syntax.Expression, data_type: DataType, memory: Memory, key: str
     """The value of a variable or an array element."""
     value = _SPECIMENS[data_type.name] if memory.checking else memory.variables.get(key)
     if value is None:
-        raise Pdl2Error(f"{word} has no value yet", node.place)
+        raise Pdl2Error(f"{word} has no value yet", node.position)
     return value
 
 
 def _system(node: syntax.System) -> SystemVariable:
     if node.name not in SYSTEM_VARIABLES:
-        raise Pdl2Error("is not a system variable of the motion subset read here", node.place)
+        raise Pdl2Error("is not a system variable of the motion subset read here", node.position)
     return SYSTEM_VARIABLES[node.name]
 
 
 def _operand(part: syntax.Expression, memory: Memory, what: str, wanted: tuple[str, ...]) -> Value:
     value = _value(part, memory)
     if _type(value) not in wanted:
-        raise Pdl2Error(f"is {_type(value)}; {what} takes {' or '.join(wanted)}", part.place)
+        raise Pdl2Error(f"is {_type(value)}; {what} takes {' or '.join(wanted)}", part.position)
     return value
 
 
@@ -232,22 +232,24 @@ def _pos(node: syntax.PosLiteral, memory: Memory) -> syntax.Pos:
     count = len(node.fields)
     if count not in (6, 7):
         reason = f"POS has 6 fields (x, y, z, a, e, r) or 7 (and the configuration string), not {count}"
-        raise Pdl2Error(reason, node.place)
+        raise Pdl2Error(reason, node.position)
     fields = _numbers(node.fields[:6], memory, "a coordinate of POS")
     configuration = ""
     for flags in node.fields[6:]:
         configuration = str(_operand(flags, memory, "the configuration of POS", ("STRING",)))
-        _check_configuration(configuration, flags.place)
+        _check_configuration(configuration, flags.position)
     return syntax.Pos(fields, configuration)
 
 
-def _check_configuration(configuration: str, place: TextPosition) -> None:
+def _check_configuration(configuration: str, position: TextPosition) -> None:
     """Raises Pdl2Error where a configuration string has other flags than S, E, W, A, B and turns T1:n to T4:n."""
     seen: set[str] = set()
     for flag in configuration.split():
         name = flag.upper().split(":")[0]
         if _FLAG.fullmatch(flag) is None or name in seen:
-            raise Pdl2Error(f"{shortened(flag)} is no configuration flag or given twice (S E W T1:n T2:n T3:n)", place)
+            raise Pdl2Error(
+                f"{shortened(flag)} is no configuration flag or given twice (S E W T1:n T2:n T3:n)", position
+            )
         seen.add(name)
 
 
@@ -261,13 +263,13 @@ def _operated(node: syntax.Operation, memory: Memory) -> Value:
     if memory.checking:
         return _SPECIMENS["REAL" if word == "/" or "REAL" in (_type(left), _type(right)) else "INTEGER"]
     if word in ("/", "DIV", "MOD") and right == 0:
-        raise Pdl2Error("divides by zero", node.place)
+        raise Pdl2Error("divides by zero", node.position)
     return _in_range(operate(left, right), node)
 
 
 def _in_range(value: Any, node: syntax.Expression) -> Value:
     if isinstance(value, int) and abs(value) > syntax.MAX_INTEGER:
-        raise Pdl2Error(f"the result is beyond the integers of {syntax.MAX_INTEGER}", node.place)
+        raise Pdl2Error(f"the result is beyond the integers of {syntax.MAX_INTEGER}", node.position)
     if not math.isfinite(value):
-        raise Pdl2Error("the result is beyond the numbers", node.place)
+        raise Pdl2Error("the result is beyond the numbers", node.position)
     return value

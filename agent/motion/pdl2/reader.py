@@ -80,7 +80,7 @@ class Program:
         try:
             yield from run.block(self.syntax.block)
             while self.cycle:
-                run.step(self.syntax.place)
+                run.step(self.syntax.position)
                 yield from run.block(self.syntax.block)
         except Pdl2Error as error:
             raise error.within(self.path) from None
@@ -102,14 +102,14 @@ class _Run:
         self.limit = limit
         self.left = limit
 
-    def step(self, place: TextPosition) -> None:
+    def step(self, position: TextPosition) -> None:
         self.left -= 1
         if self.left < 0:
-            raise StepLimitError(f"the program executes more than {self.limit} statements", place)
+            raise StepLimitError(f"the program executes more than {self.limit} statements", position)
 
     def block(self, block: syntax.Block) -> Iterator[Statement]:
         for statement in block:
-            self.step(statement.place)
+            self.step(statement.position)
             match statement:
                 case syntax.MoveStatement():
                     yield self.move(statement)
@@ -127,9 +127,9 @@ class _Run:
         first, last = self.integer(statement.first), self.integer(statement.last)
         step = 1 if statement.step is None else self.integer(statement.step)
         if step < 1:
-            raise Pdl2Error(f"STEP is {step} and must be at least 1; DOWNTO counts down", statement.place)
+            raise Pdl2Error(f"STEP is {step} and must be at least 1; DOWNTO counts down", statement.position)
         for value in range(first, last - 1, -step) if statement.down else range(first, last + 1, step):
-            self.step(statement.place)
+            self.step(statement.position)
             self.variables[statement.variable.name] = value
             yield from self.block(statement.block)
 
@@ -147,7 +147,7 @@ class _Run:
     def delay(self, statement: syntax.DelayStatement) -> Delay:
         milliseconds = float(evaluate(statement.milliseconds, self.memory))  # type: ignore[arg-type]
         if not 0 <= milliseconds <= MAX_DELAY:
-            raise Pdl2Error(f"the time is {milliseconds:g} ms and must be in 0..{MAX_DELAY} ms", statement.place)
+            raise Pdl2Error(f"the time is {milliseconds:g} ms and must be in 0..{MAX_DELAY} ms", statement.position)
         return Delay(milliseconds / 1000.0)
 
     def move(self, statement: syntax.MoveStatement) -> Move:
@@ -156,7 +156,7 @@ class _Run:
             system[setting.name] = setting_value(setting, setting.value, self.memory)
         kind = MoveType[statement.trajectory or read("$MOVE_TYPE", system).name]  # type: ignore[arg-type,union-attr]
         if (kind is MoveType.CIRCULAR) != (statement.via is not None):
-            raise Pdl2Error("VIA belongs to a CIRCULAR move, and a CIRCULAR move needs it", statement.place)
+            raise Pdl2Error("VIA belongs to a CIRCULAR move, and a CIRCULAR move needs it", statement.position)
         target, name = self.target(statement.target)
         return Move(
             type=kind,
@@ -165,7 +165,7 @@ class _Run:
             fly=statement.fly,
             via=None if statement.via is None else self.target(statement.via)[0],
             name=name,
-            line=statement.place.line,
+            line=statement.position.line,
         )
 
     def target(self, node: syntax.Expression) -> tuple[Target, str]:
@@ -176,13 +176,13 @@ class _Run:
         if isinstance(value, syntax.Pos):
             return CartesianTarget(_pose(value.fields), value.configuration), name
         assert isinstance(value, syntax.Joints)
-        return JointTarget(self.joints(value.fields, node.place)), name
+        return JointTarget(self.joints(value.fields, node.position)), name
 
-    def joints(self, fields: tuple[float, ...], place: TextPosition) -> np.ndarray:
+    def joints(self, fields: tuple[float, ...], position: TextPosition) -> np.ndarray:
         if self.robot is None:
             return np.radians(fields)
         if len(fields) != self.robot.dof:
-            raise Pdl2Error(f"has {len(fields)} joints; {self.robot.name} has {self.robot.dof}", place)
+            raise Pdl2Error(f"has {len(fields)} joints; {self.robot.name} has {self.robot.dof}", position)
         prismatic = [joint.prismatic for joint in self.robot.joints]
         return np.where(prismatic, np.array(fields) / 1000.0, np.radians(fields))
 

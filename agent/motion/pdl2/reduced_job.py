@@ -100,7 +100,7 @@ def job_text(
         try:
             parse_program(reduced, path, robot)
         except Pdl2Error as error:
-            if sieve.passes_over(error.place):
+            if sieve.passes_over(error.position):
                 continue
         return reduced, dict(sieve.passed)  # if something in it still is not understood, reading it says where
 
@@ -162,21 +162,21 @@ class _Sieve:
         while at < len(lines):
             at = self._statement(at, self.out) + 1
 
-    def passes_over(self, place: TextPosition) -> bool:
+    def passes_over(self, position: TextPosition) -> bool:
         """Blank the setting or the line at an error's position, if that changes no move's target.
 
         Controllers take values that the motion subset refuses, such as a `$FLY_DIST` below zero for none; and names of
         other programs hold nothing known here.
         """
-        at = place.line - 1
+        at = position.line - 1
         line = self.out[at] if 0 <= at < len(self.out) else ""
         setting = next(
-            (match for match in _SETTING.finditer(line) if match.start() <= place.column - 1 < match.end()), None
+            (match for match in _SETTING.finditer(line) if match.start() <= position.column - 1 < match.end()), None
         )
         first = _FIRST.match(line.strip())
         if setting is not None:
             name = setting["name"].upper().replace("$ARM_DATA[1].", "$")
-            unknown = place.word.isidentifier() and place.word.upper() != "POS"
+            unknown = position.word.isidentifier() and position.word.upper() != "POS"
             if name in FRAMES.values() and not unknown:
                 return False
             end = setting.end("more") if setting["with"] and setting["more"] else setting.end()
@@ -263,14 +263,14 @@ class _Sieve:
             return self._move(at, out)
         move = _MOVES.search(_STRING.sub("", self._bare[at]))
         if move:
-            raise Pdl2Error("moves, but not in a statement of its own line", self._place(at, move[0]))
+            raise Pdl2Error("moves, but not in a statement of its own line", self._position_at(at, move[0]))
         word = _FIRST.match(bare)
         first = word[0].lower() if word else ""
         for name in re.findall(r"\w+", _STRING.sub("", bare)):
             if name.lower() in self._moving_routines:
                 line = self._moving_routines[name.lower()] + 1
                 reason = f"is a routine that moves, in line {line}: write its moves here instead"
-                raise Pdl2Error(reason, self._place(at, name))
+                raise Pdl2Error(reason, self._position_at(at, name))
         if _KEPT.match(bare):
             out[at] = self._bare[at]
         elif bare:
@@ -284,7 +284,7 @@ class _Sieve:
         continues = not first or before.endswith((",", "(", "&", "+", "-"))
         known = first in _BEGIN or OUTSIDE_SUBSET.fullmatch(first) is not None
         if not (continues or known or _CALL.match(_STRING.sub("", self._bare[at].strip()))):
-            raise Pdl2Error("is not a statement known here", self._place(at, first))
+            raise Pdl2Error("is not a statement known here", self._position_at(at, first))
 
     def _move(self, at: int, out: list[str]) -> int:
         start, line = at, self._bare[at]
@@ -320,13 +320,13 @@ class _Sieve:
             pattern = re.compile(rf"\b{arm}\s*:=\s*(\w+)", re.IGNORECASE)
             values = {match[1] for bare in self._bare for match in pattern.finditer(bare)}
         if values != {"1"}:
-            raise Pdl2Error("is another arm, or not known to be arm 1", self._place(at, arm))
+            raise Pdl2Error("is another arm, or not known to be arm 1", self._position_at(at, arm))
 
     def _pass(self, word: str) -> str:
         self.passed[word.split()[0]] += 1
         return ""
 
-    def _place(self, at: int, word: str) -> TextPosition:
+    def _position_at(self, at: int, word: str) -> TextPosition:
         return TextPosition(at + 1, self._lines[at].lower().find(word.lower()) + 1, word)
 
 

@@ -50,16 +50,16 @@ class TextPosition(NamedTuple):
 class Pdl2Error(InputError):
     """A program that cannot be read or run: `line`, `column` (from 1) and `word` say where, `reason` says why."""
 
-    def __init__(self, reason: str, place: TextPosition, path: str = ""):
+    def __init__(self, reason: str, position: TextPosition, path: str = ""):
         self.reason = reason
-        self.place = place
-        self.line, self.column, self.word = place
-        where = f"{path or 'program'}:{place.line}:{place.column}"
-        super().__init__(f"{where}: {shortened(place.word)}: {reason}" if place.word else f"{where}: {reason}")
+        self.position = position
+        self.line, self.column, self.word = position
+        where = f"{path or 'program'}:{position.line}:{position.column}"
+        super().__init__(f"{where}: {shortened(position.word)}: {reason}" if position.word else f"{where}: {reason}")
 
     def within(self, path: str) -> Pdl2Error:
         """The same error, naming the file."""
-        return type(self)(self.reason, self.place, path)
+        return type(self)(self.reason, self.position, path)
 
 
 def shortened(word: str) -> str:
@@ -96,8 +96,8 @@ class Node:
     word: Token
 
     @property
-    def place(self) -> TextPosition:
-        return place_of(self.word)
+    def position(self) -> TextPosition:
+        return position_of(self.word)
 
     @property
     def name(self) -> str:
@@ -115,7 +115,7 @@ class Nested(Node):
         inner = [part for part in self.parts() if part.most == self.most]
         depth = 1 + max((vars(part)["depth"] for part in inner), default=0)
         if depth > self.most:
-            raise Pdl2Error(f"{self.too_deep} {self.most}", self.place)
+            raise Pdl2Error(f"{self.too_deep} {self.most}", self.position)
         self.__dict__["depth"] = depth
 
     def parts(self) -> list[Nested]:
@@ -285,24 +285,24 @@ def parse_tree(text: str) -> ProgramTree:
     return program
 
 
-def place_of(token: Token) -> TextPosition:
+def position_of(token: Token) -> TextPosition:
     """Where a token stands."""
     return TextPosition(token.line or 0, token.column or 0, str(token))
 
 
 def _check_lines(program: ProgramTree, lines: list[str]) -> None:
     """One statement or declaration a line, or separated by a semicolon."""
-    places = [declaration.place for declaration in program.declarations]
+    positions = [declaration.position for declaration in program.declarations]
     pending: list[Nested] = list(program.block)
     while pending:
         node = pending.pop()
-        places.append(node.place)
+        positions.append(node.position)
         pending += [part for part in node.parts() if isinstance(part, StatementNode)]
-    for place in sorted(places):
-        before = lines[place.line - 1][: place.column - 1].rstrip()
+    for position in sorted(positions):
+        before = lines[position.line - 1][: position.column - 1].rstrip()
         word = _LAST_WORD.search(before)
         if before and not before.endswith(";") and (word is None or word[1].upper() not in _OPENING):
-            raise Pdl2Error("starts on a line of its own, or after a semicolon", place)
+            raise Pdl2Error("starts on a line of its own, or after a semicolon", position)
 
 
 @cache
@@ -327,9 +327,9 @@ def _lark() -> Lark:
 
 def _check_name(token: Token) -> Token:
     if OUTSIDE_SUBSET.fullmatch(token):
-        raise Pdl2Error(_OUTSIDE, place_of(token))
+        raise Pdl2Error(_OUTSIDE, position_of(token))
     if len(token) > MAX_NAME:
-        raise Pdl2Error(f"the name is longer than {MAX_NAME} characters", place_of(token))
+        raise Pdl2Error(f"the name is longer than {MAX_NAME} characters", position_of(token))
     return token
 
 
@@ -337,13 +337,13 @@ def _unexpected_token(error: UnexpectedToken) -> Pdl2Error:
     token = error.token
     before: Any = error.state.value_stack[-1] if error.state and error.state.value_stack else None
     if getattr(before, "type", "") == "NAME" and {"_ASSIGN", "_LSQB"} >= set(error.expected):
-        return Pdl2Error("is not a statement of the motion subset read here", place_of(before))
+        return Pdl2Error("is not a statement of the motion subset read here", position_of(before))
     if token.type == "$END":
         last = TextPosition(max(token.line or 1, 1), max(token.column or 1, 1), "")
         return Pdl2Error(f"the program ends too early; {_expected(error.expected)}", last)
     if OUTSIDE_SUBSET.fullmatch(token):
-        return Pdl2Error(_OUTSIDE, place_of(token))
-    return Pdl2Error(f"does not belong here; {_expected(error.expected)}", place_of(token))
+        return Pdl2Error(_OUTSIDE, position_of(token))
+    return Pdl2Error(f"does not belong here; {_expected(error.expected)}", position_of(token))
 
 
 def _expected(terminals: Iterable[str]) -> str:
@@ -368,20 +368,20 @@ _WORDS = {
 
 def _integer(word: Token) -> Literal:
     if len(word) > 10 or int(word) > MAX_INTEGER:
-        raise Pdl2Error(f"the integer is larger than {MAX_INTEGER}", place_of(word))
+        raise Pdl2Error(f"the integer is larger than {MAX_INTEGER}", position_of(word))
     return Literal(word, int(word))
 
 
 def _real(word: Token) -> Literal:
     value = float(word) if len(word) <= MAX_REAL else float("inf")
     if value == float("inf"):
-        raise Pdl2Error("the number is too large or too long", place_of(word))
+        raise Pdl2Error("the number is too large or too long", position_of(word))
     return Literal(word, value)
 
 
 def _for_arm(*words: Token) -> None:
     if words and int(words[-1]) != 1:
-        raise Pdl2Error("is another arm; programs of arm 1 are read here", place_of(words[-1]))
+        raise Pdl2Error("is another arm; programs of arm 1 are read here", position_of(words[-1]))
 
 
 def _program(name: Token, attributes: tuple[Attribute, ...], *parts: Any) -> ProgramTree:
@@ -392,10 +392,10 @@ def _program(name: Token, attributes: tuple[Attribute, ...], *parts: Any) -> Pro
 def _move(word: Token, trajectory: str, _to: Token, target: Expression, clauses: list[Any]) -> MoveStatement:
     """Clauses are collected from the last to the first: settings, a VIA as an expression, an ADVANCE as its word."""
     settings = tuple(clause for clause in reversed(clauses) if isinstance(clause, Setting))
-    advances = [place_of(clause) for clause in clauses if not isinstance(clause, Node)]
+    advances = [position_of(clause) for clause in clauses if not isinstance(clause, Node)]
     vias: list[Any] = [clause for clause in clauses if isinstance(clause, Node) and not isinstance(clause, Setting)]
     if len(vias) > 1:
-        raise Pdl2Error("VIA is given twice in this move", vias[0].place)
+        raise Pdl2Error("VIA is given twice in this move", vias[0].position)
     if len(advances) > 1:
         raise Pdl2Error("ADVANCE is given twice in this move", advances[0])
     return MoveStatement(word, trajectory, target, vias[0] if vias else None, settings)

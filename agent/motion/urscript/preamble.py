@@ -235,9 +235,9 @@ def _called(line: ScriptLine) -> str:
     return tree.func.id if isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) else ""
 
 
-def _literal(line: ScriptLine, name: str, place: int) -> object:
+def _literal(line: ScriptLine, name: str, index: int) -> object:
     """The number that stands as an argument of a call of `name`; None if there is none."""
     tree = parsed(line.text) if _called(line) == name else None
-    if not (isinstance(tree, ast.Call) and len(tree.args) > place and isinstance(tree.args[place], ast.Constant)):
+    if not (isinstance(tree, ast.Call) and len(tree.args) > index and isinstance(tree.args[index], ast.Constant)):
         return None
-    return tree.args[place].value  # type: ignore[attr-defined]
+    return tree.args[index].value  # type: ignore[attr-defined]

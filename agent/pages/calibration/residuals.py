@@ -97,8 +97,8 @@ def _binned(over: str, predictions: Sequence[Prediction], error: np.ndarray, ord
         edges = np.linspace(values.min(), values.max(), _BINS + 1)
         if edges[-1] <= edges[0]:
             continue
-        place = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
-        rows = [error[place == b, k] for b in range(_BINS)]
+        bin_of_sample = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
+        rows = [error[bin_of_sample == b, k] for b in range(_BINS)]
         known = [b for b in range(_BINS) if len(rows[b]) >= _FEWEST]
         if not known:
             continue
@@ -122,8 +122,8 @@ def _spectrum(predictions: Sequence[Prediction], error: Sequence[np.ndarray], or
         window = np.hanning(len(values))[:, None]
         period = float(np.median(np.diff(prediction.time)))
         spectrum = np.abs(np.fft.rfft((values - values.mean(axis=0)) * window, axis=0)) * 2 / window.sum()
-        place = np.fft.rfftfreq(len(values), period)
-        power += np.stack([np.interp(frequency, place, column**2) for column in spectrum.T], axis=1)
+        frequencies = np.fft.rfftfreq(len(values), period)
+        power += np.stack([np.interp(frequency, frequencies, column**2) for column in spectrum.T], axis=1)
     amplitude = joint_series(names, np.sqrt(power / len(predictions)), order)
     caption = "Error of the model over frequency. The torque filter removes what lies above its cut-off."
     panel = Panel("amplitude", unit, amplitude, from_zero=True)

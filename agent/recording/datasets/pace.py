@@ -160,11 +160,11 @@ class _PickleWalk:
         elif name not in ("PROTO", "FRAME"):
             raise _Refused(f"its pickle does {name}, which no recording needs")
 
-    def _put(self, place: Any) -> None:
-        self._memo[len(self._memo) if place is None else int(place)] = self._stack[-1]
+    def _put(self, index: Any) -> None:
+        self._memo[len(self._memo) if index is None else int(index)] = self._stack[-1]
 
-    def _get(self, place: Any) -> None:
-        self._stack.append(self._memo[int(place)])
+    def _get(self, index: Any) -> None:
+        self._stack.append(self._memo[int(index)])
 
     def _mark(self, _: Any) -> None:
         self._marks.append(len(self._stack))

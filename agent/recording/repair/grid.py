@@ -57,18 +57,18 @@ def sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
         size *= 2
 
 
-def _rising(place: np.ndarray) -> np.ndarray:
+def _rising(periods: np.ndarray) -> np.ndarray:
     """Integers (S,) that rise by at least one, nearest to positions on the grid (S,) in least squares.
 
     Minus the row's own number, they must not fall: the nearest such sequence is the rounded isotonic regression.
     """
-    number = np.round(place)
+    number = np.round(periods)
     if np.all(np.diff(number) > 0):
         return number
     from scipy.optimize import isotonic_regression
 
-    rows = np.arange(len(place))
-    return rows + np.round(isotonic_regression(place - rows).x)
+    rows = np.arange(len(periods))
+    return rows + np.round(isotonic_regression(periods - rows).x)
 
 
 def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -165,8 +165,8 @@ def spacing_of(stamp: np.ndarray, nominal_rate: float | None = None) -> Spacing:
 def match(stamp: np.ndarray, others: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
     """For each of the stamps (S,) [ns] the nearest of the sorted `others`: index (S,), and (S,) whether it is within
     `tolerance` [s]."""
-    place = np.interp(stamp - others[0], others - others[0], np.arange(len(others)))
-    nearest = np.rint(place).astype(int)
+    index = np.interp(stamp - others[0], others - others[0], np.arange(len(others)))
+    nearest = np.rint(index).astype(int)
     return nearest, np.abs(others[nearest] - stamp) <= tolerance * NANO
 
 
@@ -204,13 +204,13 @@ def _refuse_two_recordings(stamp: np.ndarray, rows: np.ndarray, name: str) -> No
     edges = [0, *(np.flatnonzero(np.diff(in_file) < 0) + 1).tolist(), len(in_file)]
     stretches = [(int(in_file[a]), int(in_file[b - 1]), a, b) for a, b in pairwise(edges) if b - a >= _OVERLAP_SAMPLES]
     stretches.sort()
-    for (start, end, a, b), (start_2, end_2, place, _) in pairwise(stretches):
+    for (start, end, a, b), (start_2, end_2, sample, _) in pairwise(stretches):
         overlap = (min(end, end_2) - start_2) / NANO
         covered = np.searchsorted(in_file[a:b], [start_2, min(end, end_2)])
         if overlap > _OVERLAP_TIME and covered[1] - covered[0] >= _OVERLAP_SAMPLES:
             raise InputError(
                 f"{name}: the controller's clock was set back, or two recordings are in one file: {overlap:.3f} s from "
-                f"{(start_2 - start) / NANO:.3f} s on are there twice, with other values (sample {place} on); split it"
+                f"{(start_2 - start) / NANO:.3f} s on are there twice, with other values (sample {sample} on); split it"
             )
 
 

@@ -181,8 +181,8 @@ def _read_back(correction: Correction, simulator: Simulator, files: dict[Path, b
             os.close(handle)
             trial[path] = Path(name)
         for path, content in files.items():
-            for other, place in trial.items():
-                content = content.replace(f'"{other.name}"'.encode(), f'"{place.name}"'.encode())
+            for other, copy in trial.items():
+                content = content.replace(f'"{other.name}"'.encode(), f'"{copy.name}"'.encode())
             trial[path].write_bytes(content)
         read = load_simulator(trial[out], simulator.robot, wanted.joint_names, names).arm
     except InputError as error:

@@ -82,8 +82,8 @@ def write_target(numbers: ArmNumbers, name: str, folder: Path, say: Callable[[st
     )
     for effect in missing:
         could = "cannot say it" if effect["how"] == "no" else f"could say it {effect['how']}, which is not written"
-        place = _NEARLY if effect["how"] == _NEARLY else f"not in the files ({target.name} {could})"
-        say(f"{effect['effect']}{effect['of']} is {place}: {effect['leaves']}")
+        where = _NEARLY if effect["how"] == _NEARLY else f"not in the files ({target.name} {could})"
+        say(f"{effect['effect']}{effect['of']} is {where}: {effect['leaves']}")
     for text in (*numbers.notes, *(_unstable(numbers, step) if target.computes_servo else ())):
         say(text)
     return paths
@@ -95,9 +95,9 @@ def _left_out(numbers: ArmNumbers, name: str, target: Target) -> Iterator[dict[s
     known = json.loads(Path(__file__).with_name("effects.json").read_text(encoding="utf-8"))
     for joint in numbers.joints if not target.has_offset else ():
         if joint.offset:
-            place = "mm" if joint.prismatic else "mrad"
+            unit = "mm" if joint.prismatic else "mrad"
             leaves = (
-                f"add {1e3 * joint.offset:+.4g} {place} to its set-points ({joint.closes or 'the servo stands there'})"
+                f"add {1e3 * joint.offset:+.4g} {unit} to its set-points ({joint.closes or 'the servo stands there'})"
             )
             yield {
                 "effect": _OFFSET,

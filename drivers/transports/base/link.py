@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, DriverError, ProtocolError, RefusedError
 from drivers.protocol import Gap, SampleBlock
-from drivers.texts import place_of
+from drivers.texts import public_address
 from drivers.transports.base.samples import SampleStream
 
 #: Silence [s] after which either end takes the other for gone, where the controller grants what is asked for. A busy
@@ -179,7 +179,7 @@ class LinkDriver(Generic[Link, Motion]):
         buffer_limit: int = 512 * 1024 * 1024,
         watchdog: float = WATCHDOG,
     ) -> None:
-        self.address = place_of(address)
+        self.address = public_address(address)
         self._timeout = timeout
         self._start_timeout = start_timeout
         self._buffer_limit = buffer_limit

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from drivers.errors import ConfigurationError, DriverError
-from drivers.texts import place_of
+from drivers.texts import public_address
 
 
 def parse_address(address: str) -> tuple[str, int]:
@@ -19,10 +19,10 @@ def parse_address(address: str) -> tuple[str, int]:
     """
     host, separator, port = str(address).rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
-    place = place_of(address)
+    public = public_address(address)
     numbered = separator and host and port.isascii() and port.isdigit() and 0 < int(port) < 65536
-    if not numbered or place != address:
-        raise ConfigurationError(f"address {place!r}: host:port is expected, like 192.168.0.10:9100")
+    if not numbered or public != address:
+        raise ConfigurationError(f"address {public!r}: host:port is expected, like 192.168.0.10:9100")
     return host, int(port)
 
 
@@ -64,17 +64,17 @@ def _ports(host: str, port: int) -> Iterator[str]:
     except (OSError, UnicodeError):
         yield f"{host.lower()}:{port}"
         return
-    for family, _, _, _, place in addresses:
-        yield f"{'this machine' if _is_here(family, place) else place[0]}:{port}"
+    for family, _, _, _, endpoint in addresses:
+        yield f"{'this machine' if _is_here(family, endpoint) else endpoint[0]}:{port}"
 
 
-def _is_here(family: int, place: tuple[Any, ...]) -> bool:
+def _is_here(family: int, endpoint: tuple[Any, ...]) -> bool:
     """Whether an IP address is one of this machine's: nobody can listen at another's."""
-    if ipaddress.ip_address(str(place[0]).partition("%")[0]).is_loopback:
+    if ipaddress.ip_address(str(endpoint[0]).partition("%")[0]).is_loopback:
         return True
     try:
         with socket.socket(family, socket.SOCK_DGRAM) as probe:
-            probe.bind((place[0], 0, *place[2:]))
+            probe.bind((endpoint[0], 0, *endpoint[2:]))
     except OSError:
         return False
     return True

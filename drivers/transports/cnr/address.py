@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.errors import ConfigurationError
 from drivers.secrets import ADVICE, check_source, refuse_in_address
-from drivers.texts import place_of
+from drivers.texts import public_address
 from drivers.transports.base.ports import parse_address as parse_host_and_port
 from drivers.wire import cnr as wire
 
@@ -50,24 +50,24 @@ def parse_address(text: str) -> CnrAddress:
         ConfigurationError: anything else; names what is allowed.
     """
     refuse_in_address(str(text))
-    place = place_of(str(text))
+    public = public_address(str(text))
     host, *options = (part.strip() for part in str(text).split(","))
-    if not host or place_of(host) != host:
-        raise ConfigurationError(f"address {place!r}: the controller's address comes first, like 192.168.0.10")
+    if not host or public_address(host) != host:
+        raise ConfigurationError(f"address {public!r}: the controller's address comes first, like 192.168.0.10")
     values: dict[str, Any] = {"broker": (host, BROKER_PORT)}
     for number, option in enumerate(options, 1):
         key, equals, value = option.partition("=")
         if key not in _OPTIONS or not equals:
             raise ConfigurationError(
-                f"address {place!r}: option {number} after the host is none of {', '.join(_OPTIONS)}; {ADVICE}"
+                f"address {public!r}: option {number} after the host is none of {', '.join(_OPTIONS)}; {ADVICE}"
             )
         field, read = _OPTIONS[key]
         try:
             values[field] = read(value)
         except ValueError as error:
-            raise ConfigurationError(f"address {place!r}: {key}: {error}") from None
+            raise ConfigurationError(f"address {public!r}: {key}: {error}") from None
     if values.get("points") and values.get("by_hand"):
-        raise ConfigurationError(f"address {place!r}: points are started by the socket; leave start=hand out")
+        raise ConfigurationError(f"address {public!r}: points are started by the socket; leave start=hand out")
     return CnrAddress(host, **values)
 
 

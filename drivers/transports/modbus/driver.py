@@ -235,8 +235,8 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
             self._closed.wait(_ANSWER_POLL)
         if answer["outcome"] == wire.OutcomeCode.DONE:
             return answer
-        place = answer["line"], answer["column"]
-        raise refusal_error(self.address, what, answer["refusal"], *place, answer["message"])
+        position = answer["line"], answer["column"]
+        raise refusal_error(self.address, what, answer["refusal"], *position, answer["message"])
 
     def _not_started(self) -> None:
         link = self._connected()

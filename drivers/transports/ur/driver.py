@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, DriverError, MotionStopped, RefusedError
 from drivers.protocol import Identity, Status
-from drivers.texts import place_of
+from drivers.texts import public_address
 from drivers.transports.base.kept import KeptProgram
 from drivers.transports.base.link import LinkDriver, check_currents
 from drivers.transports.base.ports import parse_address, socket_endpoints
@@ -368,14 +368,18 @@ def places(address: str) -> dict[str, str]:
     """host:port of each service."""
     host, *options = (part.strip() for part in str(address).split(","))
     if ":" in host:
-        raise ConfigurationError(f"address {place_of(address)!r}: name the host alone; ports follow as host,rtde=30004")
+        raise ConfigurationError(
+            f"address {public_address(address)!r}: name the host alone; ports follow as host,rtde=30004"
+        )
     ports: dict[str, object] = dict(_PORTS)
     for option in options:
         service, equals, port = option.partition("=")
         if service not in _PORTS or not equals:
-            raise ConfigurationError(f"address {place_of(address)!r}: after the host, {', '.join(_PORTS)} may follow")
+            raise ConfigurationError(
+                f"address {public_address(address)!r}: after the host, {', '.join(_PORTS)} may follow"
+            )
         ports[service] = port
     places = {service: f"{host}:{port}" for service, port in ports.items()}
-    for place in places.values():
-        parse_address(place)
+    for endpoint in places.values():
+        parse_address(endpoint)
     return places

@@ -144,8 +144,8 @@ class UrLink(LinkThread):
         self._permit = number
         self._beat()
 
-    def _opened(self, place: str) -> socket.socket:
-        handle = open_socket(place, self._timeout)
+    def _opened(self, endpoint: str) -> socket.socket:
+        handle = open_socket(endpoint, self._timeout)
         self._handles.append(handle)
         return handle
 
