@@ -114,8 +114,10 @@ class JointSpline:
 
 def rest_to_rest(start: np.ndarray, end: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> JointSpline:
     """One quintic from rest to rest (n,) that keeps these limits (n,) [rad/s, rad/s²]; at least half a second."""
-    way = np.abs(end - start)
-    seconds = max(_SHORTEST, np.max(_SPEED * way / velocity), np.sqrt(np.max(_ACCELERATION * way / acceleration)))
+    distance = np.abs(end - start)
+    seconds = max(
+        _SHORTEST, np.max(_SPEED * distance / velocity), np.sqrt(np.max(_ACCELERATION * distance / acceleration))
+    )
     nothing = np.zeros((2, len(start)))
     return JointSpline(np.array([0.0, seconds]), np.array([start, end]), nothing, nothing)
 
@@ -126,8 +128,8 @@ def parts(start: np.ndarray, end: np.ndarray, velocity: np.ndarray, acceleration
     Raises:
         RefusedError: the move would take too many.
     """
-    way = np.abs(end - start) / LONGEST
-    ratio = max(np.max(_SPEED * way / velocity), np.max(_ACCELERATION * way / acceleration / LONGEST))
+    distance = np.abs(end - start) / LONGEST
+    ratio = max(np.max(_SPEED * distance / velocity), np.max(_ACCELERATION * distance / acceleration / LONGEST))
     if not ratio <= _PARTS:
         raise RefusedError(
             f"a move of more than {_PARTS * LONGEST:g} s; {_PARTS} goals of {LONGEST:g} s are allowed: move faster, or "

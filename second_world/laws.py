@@ -266,8 +266,8 @@ def _hanging(m: DrawnMachine, k: int) -> float:
 
 
 def _direction(rng: np.random.Generator) -> np.ndarray:
-    way = rng.normal(size=3)
-    return way / np.linalg.norm(way)
+    direction = rng.normal(size=3)
+    return direction / np.linalg.norm(direction)
 
 
 def _tool(shape: str) -> Build:
@@ -334,7 +334,7 @@ def _pushing(how: str) -> Build:
     """A force of `amount` nominal shoulder torques over a metre, on a link, over a stretch of every motion."""
 
     def build(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
-        link, way = int(rng.integers(2, m.world.arm.n)), _direction(rng)
+        link, direction = int(rng.integers(2, m.world.arm.n)), _direction(rng)
         size, start, duration = amount * _hanging(m, 0) * 9.81, rng.uniform(0.05, 0.6), rng.uniform(0.08, 0.3)
         began: dict[int, np.ndarray] = {}
 
@@ -344,14 +344,14 @@ def _pushing(how: str) -> Build:
                 began.clear()
                 return np.zeros(3)
             swell = np.sin(np.pi * min(1.0, 8 * min(x, 1 - x)) / 2) ** 2
-            if how == "wall":  # pushes back along `way` the further the link goes the other way
-                depth = max(float((began.setdefault(0, position.copy()) - position) @ way), 0.0)
-                return size * way * swell * (0.2 + 5 * depth)
+            if how == "wall":  # pushes back along `direction` the further the link goes the other way
+                depth = max(float((began.setdefault(0, position.copy()) - position) @ direction), 0.0)
+                return size * direction * swell * (0.2 + 5 * depth)
             if how == "rubbing":
                 return -size * swell * velocity / (np.linalg.norm(velocity) + 0.02)
             if how == "knocks":
-                return size * way * swell * (np.sin(24 * np.pi * x) > 0.6)
-            return size * way * swell
+                return size * direction * swell * (np.sin(24 * np.pi * x) > 0.6)
+            return size * direction * swell
 
         m.pushes.append(Push(link, force))
 
@@ -588,10 +588,10 @@ def _warm_magnets(m: DrawnMachine, k: int, amount: float, rng: np.random.Generat
 @outside("tool_drag", "square", "arm", first=0.1, highest=50.0)
 def _tool_drag(m: DrawnMachine, k: int, amount: float, rng: np.random.Generator) -> None:
     """A broad tool in air or in a liquid: −c |v| v, stronger across a direction of the base frame."""
-    size, way = amount * _hanging(m, 0) * 9.81, _direction(rng)
+    size, direction = amount * _hanging(m, 0) * 9.81, _direction(rng)
 
     def force(share: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        return -size * np.linalg.norm(velocity) * (velocity - 0.5 * way * (way @ velocity))
+        return -size * np.linalg.norm(velocity) * (velocity - 0.5 * direction * (direction @ velocity))
 
     m.pushes.append(Push(m.world.arm.n - 1, force))
 

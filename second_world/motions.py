@@ -74,12 +74,12 @@ def _between(kind: str, start: np.ndarray, goal: np.ndarray, speed: np.ndarray, 
     duration = max(0.4, float(np.max(np.abs(goal - start) / speed)) / (1 - ramp))
     x = np.arange(round(duration * RATE)) / RATE / duration
     if kind == "quintics":
-        way = _ease(x)
+        travelled = _ease(x)
     else:
         rate = np.clip(np.minimum(x, 1 - x) / ramp, 0, 1)
         rate = _ease(rate) if kind == "s_curves" else np.convolve(rate, np.ones(40) / 40, mode="same")
-        way = np.cumsum(rate)
-    return start + (way / way[-1])[:, None] * (goal - start)
+        travelled = np.cumsum(rate)
+    return start + (travelled / travelled[-1])[:, None] * (goal - start)
 
 
 def _slow(
@@ -102,6 +102,6 @@ def _slow(
     rate[:width] = rate[-width:] = 0.0
     kernel = np.hanning(width)
     rate = np.stack([np.convolve(column, kernel / kernel.sum(), mode="same") for column in rate.T], axis=1)
-    way = np.cumsum(rate, axis=0) / RATE
-    way *= np.minimum(1.0, 0.5 * reach / np.abs(way).max(axis=0))
-    return np.concatenate([way, way[::-1]]) + rng.uniform(-0.5, 0.5, n) * reach, ()
+    travelled = np.cumsum(rate, axis=0) / RATE
+    travelled *= np.minimum(1.0, 0.5 * reach / np.abs(travelled).max(axis=0))
+    return np.concatenate([travelled, travelled[::-1]]) + rng.uniform(-0.5, 0.5, n) * reach, ()

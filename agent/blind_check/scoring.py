@@ -168,13 +168,13 @@ def _scores(results: Sequence[Result]) -> dict[str, Any]:
 
 def _share_of_numbers(results: Sequence[Result]) -> dict[str, Any]:
     """Of runs whose effects, if any, are numbers: of others no number of a file is true."""
-    told = [
+    tallies = [
         result["numbers"]
         for result in results
         if result["numbers"]
         and all(effect in CATALOGUE and CATALOGUE[effect].numbers for effect, _ in result["effects"])
     ]
-    held, of = (sum(part[k] for part in told) for k in (0, 1))
+    held, of = (sum(part[k] for part in tallies) for k in (0, 1))
     return {"count": held, "of": of, "interval": list(clopper_pearson(held, of)) if of else None}
 
 

@@ -242,8 +242,8 @@ def clearly_better(before: np.ndarray, after: np.ndarray, least: float) -> bool:
 
     In pairs and by their ratio, so that one fold in which all is bad does not decide, nor hide what the others say.
     """
-    seen = (before > 0) & (after > 0)
-    if np.count_nonzero(seen) < 2:
+    known = (before > 0) & (after > 0)
+    if np.count_nonzero(known) < 2:
         return False
-    gain = np.log(before[seen] / after[seen])
+    gain = np.log(before[known] / after[known])
     return bool(gain.mean() > max(-np.log1p(-least), CERTAIN * gain.std(ddof=1) / np.sqrt(len(gain))))

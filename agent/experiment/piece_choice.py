@@ -175,7 +175,7 @@ def _greedy(scorer: ExperimentScorer, pool: Sequence[Weighed], seconds: float, a
 
 
 def _sum(scorer: ExperimentScorer, chosen: Sequence[Weighed]) -> InformationGain:
-    return sum((told for _, told in chosen), scorer.nothing)
+    return sum((gain for _, gain in chosen), scorer.nothing)
 
 
 def _utility(scorer: ExperimentScorer, chosen: Sequence[Weighed], asked: np.ndarray) -> float:

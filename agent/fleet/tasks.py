@@ -162,8 +162,8 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
     if not tasks:
         raise InputError(f"{store.url}: no folder in it has logs (*.mcap) for {question.kind}")
     # what robot it is, a validation's model says, and a diagnosis's
-    told = question.robot is not None or question.kind == "validate" or question.model
-    if not told and all(task.description is None and task.state is None for task in tasks):
+    has_robot = question.robot is not None or question.kind == "validate" or question.model
+    if not has_robot and all(task.description is None and task.state is None for task in tasks):
         raise InputError(
             f"{store.url}: there is no {_ROBOT} in or above any run; put one there, or name the robot with --robot"
         )
@@ -202,8 +202,8 @@ def _whose(store: Store, folder: str, described: StoredFile | None, state: Store
     if state is not None:
         # a state that is none says nothing of the run
         with contextlib.suppress(ValueError, RecursionError, AttributeError, FileNotFoundError):
-            told = json.loads(store.read(state.path))
-            machine = told.get("serial") or told.get("robot")
+            stored = json.loads(store.read(state.path))
+            machine = stored.get("serial") or stored.get("robot")
             if isinstance(machine, str):
                 return machine
     return folder if folder != "." else PurePosixPath(store.url.rstrip("/")).name

@@ -239,17 +239,17 @@ def _told(state: Path | None) -> dict[str, Any]:
     """The state of a run; empty where there is none, or it is damaged."""
     if state is not None:
         with contextlib.suppress(InputError):
-            told = read_json(state)
-            return told if isinstance(told, dict) else {}
+            stored = read_json(state)
+            return stored if isinstance(stored, dict) else {}
     return {}
 
 
 def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
     """Date of the run (from its state, its first log or its name), and serial and tool (from its first log)."""
-    told, log, started = _told(state).get("started"), read_log(logs[0]), None
+    stamp, log, started = _told(state).get("started"), read_log(logs[0]), None
     with contextlib.suppress(ValueError, OverflowError):  # no such day
-        if isinstance(told, str):
-            started = datetime.fromisoformat(told)
+        if isinstance(stamp, str):
+            started = datetime.fromisoformat(stamp)
             started = started if started.tzinfo else started.replace(tzinfo=UTC)
         else:
             started = log.date

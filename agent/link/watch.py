@@ -47,34 +47,34 @@ def record_watched(address: str, log: Path, console: Console) -> Watched:
         raise InputError(f"{log}: exists already; name another log with -o")
     with signals_raised(), closing(watch(address, console.say)) as source:
         source.open()
-        seen = source.observed
-        seen.settle()
+        observed = source.observed
+        observed.settle()
         _say_start(source, console)
         with LogWriter(
             log,
-            seen.joints,
+            observed.joints,
             robot="",
             motion="watched",
-            sample_rate=seen.rate or None,
+            sample_rate=observed.rate or None,
             facts={"watched": address},
             tell=console.say,
         ) as writer:
             try:
                 _record(source, writer, console)
             finally:
-                writer.missed(seen.lost)
-    _say_end(seen, log, console)
-    return Watched(log, seen.samples, seen.set_points, seen.lost)
+                writer.missed(observed.lost)
+    _say_end(observed, log, console)
+    return Watched(log, observed.samples, observed.set_points, observed.lost)
 
 
 def _record(source: Any, writer: LogWriter, console: Console) -> None:
     """Until a signal; none comes between the arrival of a sample and its way to the log."""
-    seen, heard = source.observed, time.monotonic()
+    observed, heard = source.observed, time.monotonic()
     with suppress(KeyboardInterrupt, Ended):
         while True:
             with deferred():
                 source.receive()
-                block, points = seen.new_samples(time.time()), seen.new_set_points()
+                block, points = observed.new_samples(time.time()), observed.new_set_points()
                 if block is not None:
                     heard = time.monotonic()
                     writer.write(block)
@@ -82,35 +82,37 @@ def _record(source: Any, writer: LogWriter, console: Console) -> None:
                     writer.write_references(*points)
             silent = time.monotonic() - heard
             text = f"; no sample for {silent:.0f} s" if silent > _SILENT else ""
-            console.progress(f"{seen.samples} samples, {seen.lost} lost{text}; Ctrl-C ends the recording")
+            console.progress(f"{observed.samples} samples, {observed.lost} lost{text}; Ctrl-C ends the recording")
 
 
 def _say_start(source: Any, console: Console) -> None:
-    seen = source.observed
-    console.say(f"recording {len(seen.joints)} joints at {seen.rate:.1f} Hz: {', '.join(seen.joints)}")
-    if seen.others:
-        console.say(f"not recorded, of other groups: {', '.join(sorted(seen.others))}")
+    observed = source.observed
+    console.say(f"recording {len(observed.joints)} joints at {observed.rate:.1f} Hz: {', '.join(observed.joints)}")
+    if observed.others:
+        console.say(f"not recorded, of other groups: {', '.join(sorted(observed.others))}")
     if source.without:
         console.warn(f"no set-points in the log: {source.without}")
-    elif not seen.set_points:
+    elif not observed.set_points:
         state = source.target.name(source.target.controller, "controller_state")
         console.warn(f"no set-points so far: nothing readable on {state}; is the controller's name right?")
 
 
-def _say_end(seen: Any, log: Path, console: Console) -> None:
-    console.say(f"{log}: {seen.samples} samples at {seen.rate:.1f} Hz, {seen.set_points} set-points")
-    if seen.lost:
+def _say_end(observed: Any, log: Path, console: Console) -> None:
+    console.say(f"{log}: {observed.samples} samples at {observed.rate:.1f} Hz, {observed.set_points} set-points")
+    if observed.lost:
         console.warn(
-            f"{seen.lost} samples are missing by the stamps; the longest gap is {seen.longest:.3f} s. The robot "
-            "did not publish them, or the network lost them"
+            f"{observed.lost} samples are missing by the stamps; the longest gap is {observed.longest:.3f} s. The "
+            "robot did not publish them, or the network lost them"
         )
-    if seen.clock_steps:
-        console.warn(f"the stamps went back {seen.clock_steps} times: the robot's clock was set, or two nodes publish")
-    if seen.foreign:
-        console.say(f"{seen.foreign} messages of other joints were left out")
-    if seen.damaged:
-        console.warn(f"{seen.damaged} messages were left out: they are damaged, or no JointState")
-    if seen.unreadable:
+    if observed.clock_steps:
         console.warn(
-            f"{seen.unreadable} set-points were left out: the messages are of another ROS 2 distribution than Jazzy"
+            f"the stamps went back {observed.clock_steps} times: the robot's clock was set, or two nodes publish"
+        )
+    if observed.foreign:
+        console.say(f"{observed.foreign} messages of other joints were left out")
+    if observed.damaged:
+        console.warn(f"{observed.damaged} messages were left out: they are damaged, or no JointState")
+    if observed.unreadable:
+        console.warn(
+            f"{observed.unreadable} set-points were left out: the messages are of another ROS 2 distribution than Jazzy"
         )

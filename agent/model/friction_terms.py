@@ -57,11 +57,11 @@ class Reversal:
         """(S,) s at speeds (S,); of a travel, once it is left behind."""
         return np.tanh(speed / self.scale) if self.kind == "speed" and self.scale else np.sign(speed)
 
-    def text(self, way: str) -> str:
-        """In words; `way` is the unit of the axle's travel."""
+    def text(self, unit: str) -> str:
+        """In words; `unit` is the unit of the axle's travel."""
         if self.scale == 0:
             return "sign"
-        return f"reversal within {self.scale:.3g} {way}" + ("/s" if self.kind == "speed" else "")
+        return f"reversal within {self.scale:.3g} {unit}" + ("/s" if self.kind == "speed" else "")
 
 
 @dataclass(frozen=True)
@@ -87,14 +87,14 @@ class FrictionTerm:
             return "-"
         power = FORMS[self.form][1]
         exponent = "²" if power == 2 else ""
-        force, way = ("N" if prismatic else "N·m"), _way(prismatic)
-        return force if power == 0 else f"{force}·s{exponent}/{way}{exponent}"
+        force, length = ("N" if prismatic else "N·m"), _way(prismatic)
+        return force if power == 0 else f"{force}·s{exponent}/{length}{exponent}"
 
     def meaning(self, joint: str, prismatic: bool) -> str:
         """In words."""
-        way = _way(prismatic)
-        details = [self.reversal.text(way)] if self.reversal else []
-        details += [f"fading over {self.fading:.3g} {way}/s"] if self.fading else []
+        unit = _way(prismatic)
+        details = [self.reversal.text(unit)] if self.reversal else []
+        details += [f"fading over {self.fading:.3g} {unit}/s"] if self.fading else []
         return f"{self.form.replace('_', ' ')} friction of {joint}" + (f" ({', '.join(details)})" if details else "")
 
 

@@ -209,8 +209,8 @@ class _Way:
 
     @classmethod
     def of(cls, t: np.ndarray, q: np.ndarray) -> _Way:
-        way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))))
-        return cls(t, q, way / max(way[-1], 1e-12))
+        travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))))
+        return cls(t, q, travelled / max(travelled[-1], 1e-12))
 
     def joints(self, part: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(part, self.part, column) for column in self.q.T], axis=1)

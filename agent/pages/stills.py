@@ -72,12 +72,12 @@ def _picture(plot: Plot, panel: Panel, wide: float, high: float) -> dict[str, An
         pixel = float(up(value))
         grid += f"M{across.begin - 3.0:.1f} {pixel:.1f}H{across.end:.1f}"
         texts.append((across.begin - 5.0, pixel + 3.0, text, "end"))
-    ways, places = [], across(x[chosen])
+    paths, places = [], across(x[chosen])
     for series, (lower, upper) in outlines:
         filled_in = series.look == "part" or series.low is not None
-        way = _area(places, up(lower), up(upper)) if filled_in else _way(places, up(upper), series.look == "points")
-        ways.append((series, way))
-    return {"panel": panel, "across": across, "up": up, "texts": texts, "grid": grid, "ways": ways}
+        path = _area(places, up(lower), up(upper)) if filled_in else _way(places, up(upper), series.look == "points")
+        paths.append((series, path))
+    return {"panel": panel, "across": across, "up": up, "texts": texts, "grid": grid, "ways": paths}
 
 
 def _extent(columns: Sequence[np.ndarray]) -> tuple[float, float]:

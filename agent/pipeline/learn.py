@@ -196,11 +196,11 @@ def _stretches(
         planned = interpolator.plan(moves, stand).q
         if np.ptp(planned, axis=0).max() < _THERE:
             continue
-        way = float(np.abs(np.diff(planned, axis=0)).sum())
+        distance = float(np.abs(np.diff(planned, axis=0)).sum())
         for last in range(at, len(moving)):
             a, b = moving[at][0], moving[last][1]
             done = float(np.abs(np.diff(q[a:b], axis=0)).sum())
-            if np.abs(q[b - 1] - planned[-1]).max() < _THERE and _SHORTER * way < done < _LONGER * way:
+            if np.abs(q[b - 1] - planned[-1]).max() < _THERE and _SHORTER * distance < done < _LONGER * distance:
                 break
         else:
             since = t[moving[at][0]] if at < len(moving) else t[-1]

@@ -127,14 +127,14 @@ def _coefficients(y: np.ndarray, common: np.ndarray, background: Background) -> 
     """Coefficients (K,) of the covariate in y (K, R), with the shapes projected out of both, and their deviations."""
     runs = y.shape[1]
     noise = runs * background.noise
-    seen = np.sum(common**2, axis=1) - noise
-    clear = (seen >= _SIGNIFICANT * np.sqrt(2 / runs) * noise) & (
-        seen > 1e-12 * runs * np.ptp(background.covariate) ** 2
+    information = np.sum(common**2, axis=1) - noise
+    clear = (information >= _SIGNIFICANT * np.sqrt(2 / runs) * noise) & (
+        information > 1e-12 * runs * np.ptp(background.covariate) ** 2
     )
-    seen = np.where(clear, seen, 1.0)
-    slope = np.sum(common * y, axis=1) / seen
+    information = np.where(clear, information, 1.0)
+    slope = np.sum(common * y, axis=1) / information
     variance = _widened(y - slope[:, None] * common, runs - 3)
-    precision, before = seen / np.maximum(variance, 1e-30), background.std**-2
+    precision, before = information / np.maximum(variance, 1e-30), background.std**-2
     total = precision + before
     posterior = (precision * slope + before * background.coefficient) / total
     return np.where(clear, posterior, background.coefficient), np.where(clear, total**-0.5, background.std)

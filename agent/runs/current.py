@@ -138,20 +138,20 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
         InputError: nothing was applied before, or it is not clear on which robot.
     """
     current, damaged = _all_current(logs)
-    places = [
+    applied = [
         entry for entry in current.items() if robot in (None, entry[1].robot) and serial in (None, entry[1].serial)
     ]
-    if not places and damaged:
+    if not applied and damaged:
         raise InputError("; ".join(damaged))
     there = ", ".join(f"{about.robot} {about.serial}".strip() for about in current.values())
     if not current:
         raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
-    if not places:
+    if not applied:
         raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {there}")
-    if len(places) > 1:
-        names = ", ".join(f"{about.robot} {about.serial}".strip() for _, about in places)
+    if len(applied) > 1:
+        names = ", ".join(f"{about.robot} {about.serial}".strip() for _, about in applied)
         raise InputError(f"several robots have a current model ({names}); say which with --robot and --serial")
-    folder, about = places[0]
+    folder, about = applied[0]
     if about.previous is None:
         raise InputError(f"{folder}: {about.run} was the first model applied; there is none before it")
     _about(folder / "versions" / about.previous)  # refuses a damaged one

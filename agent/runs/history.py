@@ -115,8 +115,8 @@ def history_table(runs: Sequence[PastRun], current: Collection[str] = ()) -> str
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
     latest = {(run.robot, run.serial): run for run in runs if run.complete and run.kind != "diagnose"}
-    told = [f"{robot} {serial}: {line}" for (robot, serial), run in latest.items() for line in run.data["watch"]]
-    return "\n".join([*lines, *([""] if told else []), *told])
+    warnings = [f"{robot} {serial}: {line}" for (robot, serial), run in latest.items() for line in run.data["watch"]]
+    return "\n".join([*lines, *([""] if warnings else []), *warnings])
 
 
 def history_json(history: History, runs: Sequence[PastRun], current: Collection[str] = ()) -> dict[str, Any]:

@@ -84,9 +84,11 @@ def identified_load(model: IdentifiedModel, flange: str | None = None) -> Identi
         )
     unfelt = ~np.any(model.projection[:, ParameterLayout.of(robot).link(robot.dof - 1)][:, 1:4], axis=0)
     errors = _errors(entries[0], frame.pose[:3, :3], unfelt) if len(entries) == 1 else (None, None, None)
-    seen = seen_from(block, frame.pose)
-    inertia = _possible_inertia(about_centre(seen), float(seen[0]))
-    return IdentifiedLoad(frame.frame, float(seen[0]), seen[1:4] / seen[0], inertia, frame.chosen, *errors)
+    at_flange = seen_from(block, frame.pose)
+    inertia = _possible_inertia(about_centre(at_flange), float(at_flange[0]))
+    return IdentifiedLoad(
+        frame.frame, float(at_flange[0]), at_flange[1:4] / at_flange[0], inertia, frame.chosen, *errors
+    )
 
 
 def _possible_inertia(inertia: np.ndarray, mass: float) -> np.ndarray:

@@ -101,14 +101,14 @@ def _compile_apart(path: Path, binary: Path, excluded: Sequence[tuple[str, str]]
     blind = {**os.environ, "MUJOCO_GL": "disable"}  # nothing is drawn: a library for windows is not loaded
     with subprocess.Popen(command, cwd=binary.parent, env=blind, stdout=-1, stderr=-3, stdin=-3) as process:
         try:
-            told, _ = process.communicate(timeout=10 * _SECONDS)
+            output, _ = process.communicate(timeout=10 * _SECONDS)
         except subprocess.TimeoutExpired:
-            told = b""
+            output = b""
         finally:
             process.kill()
-    told = b" ".join(told.split())
+    output = b" ".join(output.split())
     too_much = f"it takes more than {_SECONDS} s of processor time, or {_MEMORY >> 30} GiB of memory, to compile"
-    return told.decode(errors="replace") or too_much
+    return output.decode(errors="replace") or too_much
 
 
 def read_mjcf(path: Path, root: Element, match: Match) -> SimulatedArm:

@@ -43,8 +43,8 @@ def observability(model: IdentifiedModel, log: Log) -> Observability:
         rows = filtered_columns(model, m) / model.residual_rmse[:, None]
         total += np.einsum("snp,snq->pq", rows, rows, optimize=True)
     length = np.sqrt(np.diag(total))
-    seen = length > 1e-12 * length.max()
-    scale = np.where(seen, length, 1.0)
+    nonzero = length > 1e-12 * length.max()
+    scale = np.where(nonzero, length, 1.0)
     energy, vectors = symmetric_eigen(total / np.outer(scale, scale))
     values = np.sqrt(np.maximum(energy[::-1], 0.0))
     weakest = tuple(

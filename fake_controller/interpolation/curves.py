@@ -64,16 +64,18 @@ def corner(first: Leg, second: Leg, cut: float, family: str) -> tuple[np.ndarray
         normal = (u_out - np.cos(angle) * u_in) / np.sin(angle)
         turned = (sigma * angle)[:, None]
         places = first.end - cut * u_in + radius * (np.sin(turned) * u_in + (1 - np.cos(turned)) * normal)
-        way = radius * angle * sigma
+        distance = radius * angle * sigma
     else:
         places = first.end + cut * (sigma[:, None] ** 2 * u_out - (1 - sigma[:, None]) ** 2 * u_in)
-        way = 2.0 * cut * sigma  # in time it is a parabola too: one acceleration from the one velocity to the other
+        distance = (
+            2.0 * cut * sigma
+        )  # in time it is a parabola too: one acceleration from the one velocity to the other
     # The orientation leaves and arrives at the rate per metre that it has on the legs.
-    u = sigma + (way[-1] / (2 * cut) - 1) * sigma * (1 - sigma) * (1 - 2 * sigma)
+    u = sigma + (distance[-1] / (2 * cut) - 1) * sigma * (1 - sigma) * (1 - 2 * sigma)
     first_turn, second_turn = first.by * cut / first.length, second.by * cut / second.length
     into = second.turn * Rotation.from_rotvec((u - 1)[:, None] * first_turn)
     out = second.turn * Rotation.from_rotvec(u[:, None] * second_turn)
-    return way, places, into * Rotation.from_rotvec(u[:, None] * (into.inv() * out).as_rotvec())
+    return distance, places, into * Rotation.from_rotvec(u[:, None] * (into.inv() * out).as_rotvec())
 
 
 def arc(start: np.ndarray, via: np.ndarray, end: np.ndarray, part: np.ndarray) -> tuple[float, np.ndarray] | None:

@@ -51,9 +51,9 @@ class Ramp:
         acceleration = np.where(t < rise, jerk * up, peak - jerk * down)
         gained = 0.5 * jerk * up**2 + peak * flat + peak * down - 0.5 * jerk * down**2
         after_rise = 0.5 * peak * rise
-        way = jerk * up**3 / 6 + after_rise * flat + 0.5 * peak * flat**2
-        way += (after_rise + peak * (duration - 2.0 * rise)) * down + 0.5 * peak * down**2 - jerk * down**3 / 6
-        return np.stack((self.start * t + sign * way, self.start + sign * gained, sign * acceleration))
+        distance = jerk * up**3 / 6 + after_rise * flat + 0.5 * peak * flat**2
+        distance += (after_rise + peak * (duration - 2.0 * rise)) * down + 0.5 * peak * down**2 - jerk * down**3 / 6
+        return np.stack((self.start * t + sign * distance, self.start + sign * gained, sign * acceleration))
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ class SecondInterpolator:
             at += piece.way[-1]
         joints = self._solved(pieces, q)
         # One spline over all pieces would carry the curvature of a corner into the adjacent legs, and slow them down.
-        splines = [CubicSpline(way, part) for way, part in zip(ways, joints, strict=True)]
+        splines = [CubicSpline(distance, part) for distance, part in zip(ways, joints, strict=True)]
         limits = np.array([self._limits(*each) for each in zip(pieces, ways, splines, strict=True)]).T
         slower = np.ones(len(pieces))
         for _ in range(_REPAIRS):
@@ -206,10 +206,10 @@ class SecondInterpolator:
             RampedMove(length[k], border[k], border[k + 1], speed[k], up[k], down[k], jerk) for k in range(len(pieces))
         ]
 
-    def _limits(self, piece: _Piece, way: np.ndarray, spline: CubicSpline) -> tuple[float, float, float]:
+    def _limits(self, piece: _Piece, distance: np.ndarray, spline: CubicSpline) -> tuple[float, float, float]:
         """Speed, acceleration and deceleration along a piece, by the joints on it alone."""
         law, robot, round_corner = self.law, self.robot, len(piece.parts) == 2
-        first, second = np.abs(spline(way, 1)).max(axis=0), np.abs(spline(way, 2)).max(axis=0)
+        first, second = np.abs(spline(distance, 1)).max(axis=0), np.abs(spline(distance, 2)).max(axis=0)
         with np.errstate(divide="ignore"):
             joints = float(np.min(robot.max_velocity / first))
             speed = min(joints, float(np.sqrt(np.min(law.curve * robot.max_acceleration / second))))

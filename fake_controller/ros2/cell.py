@@ -129,8 +129,8 @@ class Ros2Cell(FaultyController):
         samples = follow(self._plant, self._astray, reference, rate, self._start)
         self.position, self.velocity = samples.position[-1], samples.velocity[-1]
         self._notice(count)
-        effort, told = self._measured(samples.torque), self._told(samples)
-        return RosCycles(stamps, told.position, told.velocity, effort, told.reference_position, rate)
+        effort, reported = self._measured(samples.torque), self._told(samples)
+        return RosCycles(stamps, reported.position, reported.velocity, effort, reported.reference_position, rate)
 
     def _measured(self, torque: np.ndarray) -> np.ndarray:
         if self.effort == "none" or "no_numbers" in self._lies:

@@ -160,10 +160,10 @@ def draw_arm(seed: int) -> DrawnArm:
     n = int(rng.integers(kind.joints[0], kind.joints[1] + 1))
     smaller = 0.5 ** np.linspace(0, 1, n)
     axes = np.array([[axis == b for b in "xyz"] for axis in kind.axes[:n]], dtype=float)
-    way = np.stack([rng.uniform(0.3, 1.0, n), rng.uniform(-0.2, 0.2, n), rng.uniform(-0.5, 1.0, n)], axis=1)
-    way[0] = 0.0, 0.0, 1.0
+    direction = np.stack([rng.uniform(0.3, 1.0, n), rng.uniform(-0.2, 0.2, n), rng.uniform(-0.5, 1.0, n)], axis=1)
+    direction[0] = 0.0, 0.0, 1.0
     length = rng.uniform(*kind.length, n) * np.sqrt(smaller)
-    out = length[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
+    out = length[:, None] * direction / np.linalg.norm(direction, axis=1, keepdims=True)
     origin = np.vstack([[0.0, 0.0, 0.5 * length[0]], out[:-1]])
     mass = rng.uniform(*kind.mass, n) * smaller
     squares = (np.abs(out) + length[:, None] * rng.uniform(0.3, 0.6, (n, 3))) ** 2

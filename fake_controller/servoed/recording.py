@@ -67,8 +67,8 @@ def record(
     for k in range(int(frames[-1]) + 1):
         predicted = v + 0.5 * dt * a
         link, speed = q.tolist(), predicted.tolist()
-        seen, turning = (link, speed) if arm.on_link else drive.motors(link, speed)
-        counted = [step * round(angle / step) for angle in seen]
+        encoder, turning = (link, speed) if arm.on_link else drive.motors(link, speed)
+        counted = [step * round(angle / step) for angle in encoder]
         if (frame := reading.get(k)) is not None:
             positions[frame] = counted
             sent = np.clip(set_points[frame], positions[frame] - recorder.nearest, positions[frame] + recorder.nearest)

@@ -78,8 +78,8 @@ class Stretch:
             begin = (arm.forward(start[None]) @ move.tcp)[0]
             rotation = Rotation.from_matrix(move.goal[:3, :3].T @ begin[:3, :3]).as_rotvec()
             self.offset = np.concatenate([begin[:3, 3] - move.goal[:3, 3], rotation])
-            way = float(np.linalg.norm(self.offset[:3]))
-            self.length = way if way > _NOTHING else float(np.linalg.norm(rotation))
+            length = float(np.linalg.norm(self.offset[:3]))
+            self.length = length if length > _NOTHING else float(np.linalg.norm(rotation))
             if move.via is not None:
                 self.length, self._circle = _circle(begin[:3, 3], move.via[:3, 3], move.goal[:3, 3])
         self.speed, self.acceleration = move.speed, move.acceleration
@@ -180,12 +180,12 @@ class UrInterpolator:
         corner = stretch.joints(np.zeros((1, 6)), self.q)[0]
         following = Stretch(self._arm, after, corner)
         blend = _Blend(stretch, following, self._law, begun, speed)
-        way = self._along(stretch, begun, stretch.length - blend.before, speed, blend.entering)
+        straight = self._along(stretch, begun, stretch.length - blend.before, speed, blend.entering)
         at = self._times(blend.duration)
-        near = way[-1] if len(way) else self.q
+        near = straight[-1] if len(straight) else self.q
         turned = blend.joints(at, near) if len(at) else np.zeros((0, 6))
         self._entered = following, blend.after, blend.leaving
-        return self._setpoints([way, turned], len(way))
+        return self._setpoints([straight, turned], len(straight))
 
     def _along(
         self, stretch: Stretch, begin: float, end: float, v0: float, v1: float, stops: bool = False
@@ -264,15 +264,15 @@ class _Blend:
         self.entering = min(self.entering, stoppable * per_length[1] / per_length[0])
         u = np.linspace(0.0, 1.0, _FINE)
         curve = np.outer((1 - u) ** 2, self._ends[0]) + np.outer(u**2, self._ends[1])
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve[:, :part], axis=0), axis=1))])
-        even = np.linspace(0.0, way[-1], _FINE // 4)
-        along = np.transpose([np.interp(even, way, column) for column in curve.T])
+        travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve[:, :part], axis=0), axis=1))])
+        even = np.linspace(0.0, travelled[-1], _FINE // 4)
+        along = np.transpose([np.interp(even, travelled, column) for column in curve.T])
         bent = np.abs(np.diff(along, 2, axis=0)).max(axis=0) / even[1] ** 2
         limits = _SHARPEST if not self._first.in_joints else _SHARPEST[3]
         speed = min(self.entering * per_length[0], float(np.sqrt(np.min(limits / np.maximum(bent, _NOTHING)))))
         self.entering, self.leaving = speed / per_length[0], speed / per_length[1]
-        self.duration = float(way[-1]) / speed
-        self._place_on_curve = lambda t: np.interp(speed * t, way, u)
+        self.duration = float(travelled[-1]) / speed
+        self._place_on_curve = lambda t: np.interp(speed * t, travelled, u)
 
     def _between(self, u: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Where the stretches have no space in common: a cubic of the joints."""
@@ -309,8 +309,8 @@ def _circle(begin: np.ndarray, via: np.ndarray, end: np.ndarray) -> tuple[float,
     normal = np.cross(first, second)
     squared = normal @ normal
     if squared < _NOTHING**2:
-        way = float(np.linalg.norm(second))
-        return way, lambda s: begin + np.outer(s / way, second)
+        length = float(np.linalg.norm(second))
+        return length, lambda s: begin + np.outer(s / length, second)
     to_centre = np.cross(second * (first @ first) - first * (second @ second), normal) / (2 * squared)
     radius = float(np.linalg.norm(to_centre))
     x = -to_centre / radius

@@ -80,9 +80,9 @@ class UrState(FaultyController):
 
     def clear_registers(self) -> None:
         """As after switching on."""
-        for way in ("input", "output"):
-            self.registers[f"{way}_int"], self.registers[f"{way}_double"] = [0] * 48, [0.0] * 48
-            self.registers[f"{way}_bit"] = [False] * 128
+        for kind in ("input", "output"):
+            self.registers[f"{kind}_int"], self.registers[f"{kind}_double"] = [0] * 48, [0.0] * 48
+            self.registers[f"{kind}_bit"] = [False] * 128
 
     @property
     def robot_mode(self) -> int:

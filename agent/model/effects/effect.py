@@ -295,8 +295,8 @@ def friction_levels(reference: NominalModel, axle: int) -> dict[str, float]:
 
 def highest_speed(context: FitContext, axle: int) -> float:
     """Highest speed of an axle over all motions [rad/s], at least a millionth of the joint's limit."""
-    seen = max(float(np.abs(s.axles.speed[:, axle]).max()) for s in context.signals)
-    return max(seen, 1e-6 * float(context.reference.robot.max_velocity[axle]))
+    fastest = max(float(np.abs(s.axles.speed[:, axle]).max()) for s in context.signals)
+    return max(fastest, 1e-6 * float(context.reference.robot.max_velocity[axle]))
 
 
 def travelled(context: FitContext, axle: int) -> tuple[float, float]:

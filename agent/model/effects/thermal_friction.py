@@ -86,8 +86,8 @@ class ThermalFriction(FrictionLevel):
         for motion in sorted(motions, key=lambda s: (s.started, s.log_index, float(s.time[0]))):
             before = gone.setdefault(motion.log_index, np.zeros(len(whole)))
             motion.memory["gone"] = before, whole
-            way = np.array([float(_way(motion, axle)[-1]) for axle in range(len(whole))])
-            gone[motion.log_index], whole = before + way, whole + way
+            distance = np.array([float(_way(motion, axle)[-1]) for axle in range(len(whole))])
+            gone[motion.log_index], whole = before + distance, whole + distance
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         if "way" in settings:

@@ -189,10 +189,10 @@ class _Parts:
 
 def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:
     """(S, 1) friction of the model on an axle that also turns with a joint."""
-    model, seen = signals.reference.model, signals.axles
-    position = seen.position[:, axle] + ratio * signals.q[:, joint]
-    speed = seen.speed[:, axle] + ratio * signals.qd[:, joint]
-    load = None if seen.load is None else seen.load[:, [axle]]
+    model, axles = signals.reference.model, signals.axles
+    position = axles.position[:, axle] + ratio * signals.q[:, joint]
+    speed = axles.speed[:, axle] + ratio * signals.qd[:, joint]
+    load = None if axles.load is None else axles.load[:, [axle]]
     terms = [(k, term) for k, term in enumerate(model.terms, len(model.independent)) if term.axle == axle]
     alone = AxleMotion(position[:, None], speed[:, None], load)
     columns = axle_columns(tuple(replace(term, axle=0) for _, term in terms), alone)

@@ -159,8 +159,8 @@ class CartesianCorner(Corner):
         if self.step.family == "parabola":
             # It is run through at a constant rate of τ: one acceleration from the one velocity to the other.
             along, apart = self._rates(tau)
-            way = self.out * self.before.extent + self.into * self.after.extent
-            return way * cells, np.minimum(along / apart, 1.0)
+            distance = self.out * self.before.extent + self.into * self.after.extent
+            return distance * cells, np.minimum(along / apart, 1.0)
         along, apart = self._rates(np.concatenate((nodes, tau)))
         lengths = (along[: len(nodes)].reshape(-1, 3) @ _WEIGHTS) * 0.5 * cells
         return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)

@@ -197,22 +197,24 @@ def _solve(
     """Solve the joints of a unit from `start` (n,): those on the way in (lead.cells + 1, n) and on the way out."""
     into = np.empty(0) if lead is None else lead.sigma(lead.tau())[1][:-1]
     out = np.empty(0) if trail is None else trail.sigma(trail.tau())[0][1:]
-    ways = list(body)
+    stretches = list(body)
     if lead is not None:
-        ways.insert(0, _on_segment(-1, unit[0], into, into))
+        stretches.insert(0, _on_segment(-1, unit[0], into, into))
     if trail is not None:
-        ways.append(_on_segment(-1, unit[-1], out, out))
+        stretches.append(_on_segment(-1, unit[-1], out, out))
     if isinstance(unit[0], CartesianSegment):
         position, orientation = (
-            np.concatenate([getattr(way, name) for way in ways]) for name in ("position", "orientation")
+            np.concatenate([getattr(stretch, name) for stretch in stretches]) for name in ("position", "orientation")
         )
-        near = None if ways[0].near is None else np.concatenate([way.near for way in ways])
-        q = solve_cartesian(unit, np.concatenate([way.move for way in ways]), position, orientation, start, near)
-        cuts = np.cumsum([len(way.move) for way in ways])[:-1]
-        for way, part in zip(ways, np.split(q, cuts), strict=True):
-            way.q = part
+        near = None if stretches[0].near is None else np.concatenate([stretch.near for stretch in stretches])
+        q = solve_cartesian(
+            unit, np.concatenate([stretch.move for stretch in stretches]), position, orientation, start, near
+        )
+        cuts = np.cumsum([len(stretch.move) for stretch in stretches])[:-1]
+        for stretch, part in zip(stretches, np.split(q, cuts), strict=True):
+            stretch.q = part
     else:
-        q = np.concatenate([way.q for way in ways if way.q is not None])
+        q = np.concatenate([stretch.q for stretch in stretches if stretch.q is not None])
     return q[: len(into) + 1], q[len(q) - len(out) - 1 :]
 
 
@@ -227,7 +229,7 @@ def _joint_corner(
         middle = corner.cells // 2
         q = q + bump(tau)[:, None] * (at_corner - q[middle])
     sigma_one, sigma_two = corner.sigma(tau)
-    moves = [np.linalg.norm(np.diff(way, axis=0) / speeds, axis=1) for way in (q, running_out, running_in)]
+    moves = [np.linalg.norm(np.diff(joints, axis=0) / speeds, axis=1) for joints in (q, running_out, running_in)]
     along = np.minimum(moves[0] / np.maximum(moves[1] + moves[2], 1e-300), 1.0)
     count = corner.cells - 1
     return _PathPart(

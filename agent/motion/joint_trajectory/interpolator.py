@@ -127,9 +127,9 @@ class JointTrajectoryLaw:
         t = np.append(np.arange(0.0, spline.duration, _PERIOD), spline.duration)
         q, qd, qdd = spline.at(t)
         lower, upper = self.robot.position_limits
-        way = np.minimum(upper - lower, 2 * np.pi)
+        span = np.minimum(upper - lower, 2 * np.pi)
         excesses = {
-            "position": np.maximum(q - upper, lower - q).max(axis=0) / way - _ROUNDING,
+            "position": np.maximum(q - upper, lower - q).max(axis=0) / span - _ROUNDING,
             "speed": np.abs(qd).max(axis=0) / self.robot.max_velocity - 1.0 - 3 * _ROUNDING,
             "acceleration": np.abs(qdd).max(axis=0) / self.robot.max_acceleration - 1.0 - 1e-4,
         }

@@ -243,14 +243,14 @@ def _pos(node: syntax.PosLiteral, memory: Memory) -> syntax.Pos:
 
 def _check_configuration(configuration: str, position: TextPosition) -> None:
     """Raises Pdl2Error where a configuration string has other flags than S, E, W, A, B and turns T1:n to T4:n."""
-    seen: set[str] = set()
+    names: set[str] = set()
     for flag in configuration.split():
         name = flag.upper().split(":")[0]
-        if _FLAG.fullmatch(flag) is None or name in seen:
+        if _FLAG.fullmatch(flag) is None or name in names:
             raise Pdl2Error(
                 f"{shortened(flag)} is no configuration flag or given twice (S E W T1:n T2:n T3:n)", position
             )
-        seen.add(name)
+        names.add(name)
 
 
 def _operated(node: syntax.Operation, memory: Memory) -> Value:

@@ -196,8 +196,8 @@ class _ScriptRun:
 
     def _assign(self, name: str, scope: str, value: Any) -> None:
         """To the variable of that name that can be seen; to a new one of the function where there is none."""
-        seen = next((values for values in self._values.maps if name in values), self._values.maps[0])
-        {"local": self._values.maps[0], "global": self._values.maps[-1]}.get(scope, seen)[name] = value
+        holder = next((values for values in self._values.maps if name in values), self._values.maps[0])
+        {"local": self._values.maps[0], "global": self._values.maps[-1]}.get(scope, holder)[name] = value
 
     def _loop(self, line: ScriptLine, depth: int) -> Iterator[Statement]:
         lenient = self._program.lenient

@@ -82,8 +82,8 @@ def remainder(diagnosis: Diagnosis) -> Plot | None:
     edges = np.linspace(over.min(), over.max(), _BINS + 1)
     number = np.clip(np.searchsorted(edges, over) - 1, 0, _BINS - 1)
     series = []
-    for words, way, colour in (("moving up", speed > 0, SERIES[0]), ("moving down", speed < 0, SERIES[1])):
-        here = way & np.isfinite(error)
+    for words, direction, colour in (("moving up", speed > 0, SERIES[0]), ("moving down", speed < 0, SERIES[1])):
+        here = direction & np.isfinite(error)
         count = np.bincount(number[here], minlength=_BINS)
         mean = np.bincount(number[here], error[here], _BINS) / np.where(count, count, np.nan)
         series.append(Series(words, mean, colour=colour))

@@ -90,9 +90,9 @@ def until_sure(
                 end, rounds.other = motion.text, motion
                 break
             program = job.run.write_text(f"{name}{recipe.dialect.suffix}", motion.text).name
-            ran = replace(motion, brakes=False).to_dict(program)  # no log on the brakes was requested
+            entry = replace(motion, brakes=False).to_dict(program)  # no log on the brakes was requested
             verdict = rounds.last.result["verdict"]
-            rounds.asked.append({"after": verdict, **ran, "verdict": None, "causes": []})
+            rounds.asked.append({"after": verdict, **entry, "verdict": None, "causes": []})
             word = allowed and allowed.for_new_motion(run_key(recipe)["loop"], sha256_text(motion.text), moved)
             with open_link(recipe, console, job.yes, job.logs, word, facts={PARTS: PLANNED_PARTS}) as link:
                 recording = job.record_program(link, motion.text, program, "experiment", f"{name}.mcap", name)

@@ -58,8 +58,9 @@ def set_back(stamp: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, list[
     if len(back) != 1 or min(back[0] + 1, len(stamp) - back[0] - 1) < _BEHIND:
         return stamp, []
     first = int(back[0]) + 1
-    way = np.abs(np.diff(position[first - _BEHIND : first + _BEHIND], axis=0)).sum(axis=1)
-    if np.count_nonzero(stamp[first:] < stamp[first - 1]) < _BEHIND or way[_BEHIND - 1] > _FURTHER * np.median(way):
+    travel = np.abs(np.diff(position[first - _BEHIND : first + _BEHIND], axis=0)).sum(axis=1)
+    is_jump = travel[_BEHIND - 1] > _FURTHER * np.median(travel)
+    if np.count_nonzero(stamp[first:] < stamp[first - 1]) < _BEHIND or is_jump:
         return stamp, []
     lag = int(stamp[first - 1] - stamp[first])
     moved = stamp.copy()
@@ -86,8 +87,8 @@ def evened_bursts(stamp: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, 
     waiting = step[pause].sum() > _WAITING * step.sum() and step.min() > -0.5 * step[pause].min()
     if alike < _ALIKE or not waiting or np.std(apart) > _REGULAR * np.mean(apart):
         return stamp, []
-    way = np.abs(np.diff(position, axis=0)).sum(axis=1)
-    if not way.any() or np.mean(way[pause]) > _FURTHER * np.mean(way[~pause]):
+    travel = np.abs(np.diff(position, axis=0)).sum(axis=1)
+    if not travel.any() or np.mean(travel[pause]) > _FURTHER * np.mean(travel[~pause]):
         return stamp, []
     # the last sample of a burst is taken as it arrives; the first and the last burst may be cut short
     last, arrival = starts[1:].astype(float) - 1, (stamp[starts[:-1]] - stamp[0]).astype(float)
@@ -109,26 +110,26 @@ def with_lost_rows(
     unknown number of rows was lost: what follows comes a second later, as a segment of its own. Without a velocity, the
     steps around a row say how far one goes, if long steps are whole ones.
     """
-    step, way = np.diff(stamp), np.diff(position, axis=0)
+    step, change = np.diff(stamp), np.diff(position, axis=0)
     if velocity is None:
-        by_velocity, whose = _usual_steps(way), "their neighbours say, which slow steps do not show"
+        by_velocity, whose = _usual_steps(change), "their neighbours say, which slow steps do not show"
     else:
         ends = velocity[:-1] * step[:, None] / NANO, velocity[1:] * step[:, None] / NANO
-        by_velocity, whose = _steady(*ends, way), "the velocity says"
+        by_velocity, whose = _steady(*ends, change), "the velocity says"
     square = np.sum(by_velocity**2, axis=1)
-    large, longest = (np.quantile(each, 0.95) for each in (square, np.sum(way**2, axis=1)))
+    large, longest = (np.quantile(each, 0.95) for each in (square, np.sum(change**2, axis=1)))
     clear = square > _CLEAR**2 * large
-    times = np.sum(way * by_velocity, axis=1) / np.where(square > 0, square, 1.0)
-    error = np.sum((way - times[:, None] * by_velocity) ** 2, axis=1)
+    times = np.sum(change * by_velocity, axis=1) / np.where(square > 0, square, 1.0)
+    error = np.sum((change - times[:, None] * by_velocity) ** 2, axis=1)
     periods = np.rint(times)
     # a velocity that is not the derivative of its position says nothing, nor do a few steps of a stationary arm
     agrees = large > 0 and np.median(np.abs(times[clear] - 1)) < _WHOLE / 2
-    lost = clear & (periods >= 2) & (np.abs(times - periods) < _WHOLE) & (error < _WHOLE**2 * np.sum(way**2, axis=1))
+    lost = clear & (periods >= 2) & (np.abs(times - periods) < _WHOLE) & (error < _WHOLE**2 * np.sum(change**2, axis=1))
     further = clear & (times > 1 + _WHOLE)
     if not agrees or (velocity is None and np.count_nonzero(lost) < _ALIKE * np.count_nonzero(further)):
         return stamp, []
-    beyond = np.pad(np.cumsum(way - by_velocity, axis=0), ((_SPIKE + 1, _SPIKE), (0, 0)), mode="edge")
-    jump, lasting = way - by_velocity, beyond[2 * _SPIKE + 1 :] - beyond[: -2 * _SPIKE - 1]
+    beyond = np.pad(np.cumsum(change - by_velocity, axis=0), ((_SPIKE + 1, _SPIKE), (0, 0)), mode="edge")
+    jump, lasting = change - by_velocity, beyond[2 * _SPIKE + 1 :] - beyond[: -2 * _SPIKE - 1]
     cut = ~lost & (np.minimum(np.sum(jump**2, axis=1), np.sum(lasting**2, axis=1)) > _JUMP**2 * longest)
     missing = np.where(lost, periods - 1, 0).astype(np.int64)
     repairs = []
@@ -144,18 +145,18 @@ def with_lost_rows(
     return stamp + np.append(0, np.cumsum(missing * step + cut * int(_CUT * NANO))), repairs
 
 
-def _usual_steps(way: np.ndarray) -> np.ndarray:
-    """(S, n) how far the steps around each of `way` (S, n) go, on which single lost rows have no influence."""
-    padded = np.pad(way, ((_AROUND, _AROUND), (0, 0)), mode="edge")
+def _usual_steps(change: np.ndarray) -> np.ndarray:
+    """(S, n) how far the steps around each of `change` (S, n) go, on which single lost rows have no influence."""
+    padded = np.pad(change, ((_AROUND, _AROUND), (0, 0)), mode="edge")
     sides = [range(_AROUND), range(_AROUND + 1, 2 * _AROUND + 1)]
-    before, after = (np.median([padded[k : k + len(way)] for k in side], axis=0) for side in sides)
-    return _steady(before, after, way)
+    before, after = (np.median([padded[k : k + len(change)] for k in side], axis=0) for side in sides)
+    return _steady(before, after, change)
 
 
-def _steady(before: np.ndarray, after: np.ndarray, way: np.ndarray) -> np.ndarray:
+def _steady(before: np.ndarray, after: np.ndarray, change: np.ndarray) -> np.ndarray:
     """(S, n) the mean of two expected steps; zero where they differ, as where a motion starts, or are few counts of the
-    encoder that made the steps `way` (S, n)."""
-    usual, distance = 0.5 * (before + after), np.abs(way)
+    encoder that made the steps `change` (S, n)."""
+    usual, distance = 0.5 * (before + after), np.abs(change)
     alike = np.sum((after - before) ** 2, axis=1) < (2 * _WHOLE) ** 2 * np.sum(usual**2, axis=1)
     count = np.min(distance, axis=0, where=distance > _COUNT, initial=np.inf)  # of the encoder, or of the file
     return np.asarray(usual * (alike & np.any(np.abs(usual) > count / _WHOLE, axis=1))[:, None])

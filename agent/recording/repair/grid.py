@@ -96,12 +96,12 @@ def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np
     noise = np.where(np.isfinite(noise), noise, 0.0)
     moving = noise > 0
     scaled = position[:, moving] / noise[moving]
-    seen: set[tuple[int, bytes]] = set()
+    tried: set[tuple[int, bytes]] = set()
     for _ in range(_ROUNDS):
         for hole in np.flatnonzero(np.diff(number) > 1).tolist():
             first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
             rows, stamps, here, before = scaled[first:stop], periods[first:stop], hole - first, number[first:stop]
-            if (hole, before.tobytes()) in seen:
+            if (hole, before.tobytes()) in tried:
                 continue  # as it was in the round before, which left it so
             trials = _moved(before, here)
             if not len(trials):
@@ -117,7 +117,7 @@ def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np
                 costs = np.append(costs, _costs(trials[len(costs) :], rows, stamps, spread))
             best = trials[int(np.argmin(costs))]
             if np.array_equal(best, before):
-                seen.add((hole, before.tobytes()))
+                tried.add((hole, before.tobytes()))
             number[first:stop] = best
     return number
 

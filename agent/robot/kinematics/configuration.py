@@ -65,12 +65,12 @@ def parse_configuration(text: str) -> Configuration:
         InputError: a word that is neither a flag nor a turn, or one that is given twice.
     """
     turns = [0, 0, 0]
-    seen: list[str] = []
+    flags: list[str] = []
     for match in _TURN.finditer(text):
         turns[int(match[1]) - 1] = int(match[2])
-        seen.append(f"T{match[1]}")
-    seen += _TURN.sub(" ", text).upper().split()
-    for word in seen:
-        if word not in ("S", "E", "W", "T1", "T2", "T3") or seen.count(word) > 1:
+        flags.append(f"T{match[1]}")
+    flags += _TURN.sub(" ", text).upper().split()
+    for word in flags:
+        if word not in ("S", "E", "W", "T1", "T2", "T3") or flags.count(word) > 1:
             raise InputError(f"configuration {text!r}: {word!r}; allowed are S E W T1:n T2:n T3:n, each once")
-    return Configuration("S" in seen, "E" in seen, "W" in seen, (turns[0], turns[1], turns[2]))
+    return Configuration("S" in flags, "E" in flags, "W" in flags, (turns[0], turns[1], turns[2]))

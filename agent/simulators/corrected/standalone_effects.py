@@ -79,11 +79,11 @@ class Effects:
     def reading(self, torque: Array) -> Array:
         """(..., n) [N·m] what the robot reports while its motors give `torque` (..., n); once a step."""
         torque = np.asarray(torque, dtype=float)
-        told = torque.copy()
+        measured = torque.copy()
         for effect in EFFECTS:
             if effect["form"].startswith("reading_"):
-                told += getattr(self, f"_{effect['form']}")(effect["joints"], effect["parameters"], torque)
-        return told
+                measured += getattr(self, f"_{effect['form']}")(effect["joints"], effect["parameters"], torque)
+        return measured
 
     def _reading_scaled(self, joints: Any, p: Any, torque: Array) -> Array:
         more = np.zeros_like(torque)
@@ -160,9 +160,9 @@ class Effects:
             nodes, powers = np.array(p["nodes"]), np.array(p["curve"])  # torque per power of the way from a node
             inside = np.clip(q, nodes[0], nodes[-1])
             piece = np.clip(np.searchsorted(nodes, inside, side="right") - 1, 0, len(nodes) - 2)
-            way = inside - nodes[piece]
-            torque = sum(powers[k][piece] * way**k for k in range(4))
-            slope = sum(k * powers[k][piece] * way ** (k - 1) for k in range(1, 4))
+            offset = inside - nodes[piece]
+            torque = sum(powers[k][piece] * offset**k for k in range(4))
+            slope = sum(k * powers[k][piece] * offset ** (k - 1) for k in range(1, 4))
             torque = torque + slope * (q - inside)
         else:
             x = q - p.get("middle", 0.0)
@@ -257,7 +257,7 @@ def _settled(follows: Any, before: Array, own: Array) -> Array:
     """The acceleration (n,) that follows from itself; gears see `own` (m, n) of it, and answer in proportion but where
     teeth meet within the step."""
     first = follows(before)
-    answers = np.stack([follows(before + way) - first for way in np.linalg.pinv(own).T], axis=1)
+    answers = np.stack([follows(before + step) - first for step in np.linalg.pinv(own).T], axis=1)
     more = np.linalg.solve(np.eye(len(own)) - own @ answers, own @ (first - before))
     return np.asarray(first + answers @ more)
 
@@ -267,9 +267,9 @@ def _slopes(mujoco: Any, m: Any, d: Any, moved: Any, at: Array, dof: Array) -> A
     gradient, side = np.empty((len(dof), len(dof))), np.zeros((2, m.nv))
     moved.qvel[:], moved.qacc[:] = d.qvel, d.qacc
     for column, k in enumerate(at):
-        for way, torque in zip((-1e-5, 1e-5), side, strict=True):
+        for step, torque in zip((-1e-5, 1e-5), side, strict=True):
             moved.qpos[:] = d.qpos
-            moved.qpos[k] += way
+            moved.qpos[k] += step
             mujoco.mj_kinematics(m, moved)
             mujoco.mj_comPos(m, moved)
             mujoco.mj_comVel(m, moved)

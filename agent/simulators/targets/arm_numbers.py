@@ -137,8 +137,8 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
     changes, ranges = path.with_name(f"{path.stem}.changes.json"), path.with_name(f"{path.stem}.ranges.yaml")
     left_effects = tuple(_of_changes(changes, simulator.model)) if changes.is_file() else ()
     closes = _offset_reasons(changes) if changes.is_file() else {}
-    told = tuple(_as_exported(_of_ranges(ranges), simulator.arm)) if ranges.is_file() else ()
-    numbers = _of_model(simulator.model, path, servos, left_effects, told, simulator.arm.step)
+    exported_ranges = tuple(_as_exported(_of_ranges(ranges), simulator.arm)) if ranges.is_file() else ()
+    numbers = _of_model(simulator.model, path, servos, left_effects, exported_ranges, simulator.arm.step)
     notes = [*simulator.notes, *numbers.notes]
     if servos is None and not simulator.arm.is_urdf:
         notes.append(f"no servos are in the files: {simulator.arm.servos}")

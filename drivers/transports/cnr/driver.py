@@ -190,13 +190,13 @@ class CnrDriver(LinkDriver[Sockets, CnrMotion]):
             if motion is not None:
                 motion.stopping = True
             answer = sockets.command(self.STOP)
-        until, told = time.monotonic() + self._start_timeout, False
+        until, warned = time.monotonic() + self._start_timeout, False
         # The controller takes no stop before its flag says that the arm moves: it is sent until the arm has rested.
         while motion is not None and answer is not None and not answer.success and not motion.wait(_STOP_AGAIN):
             if time.monotonic() > until:
                 break
-            if self._where.by_hand and not told:
-                told = True
+            if self._where.by_hand and not warned:
+                warned = True
                 self.tell("the controller does not take the stop command: press HOLD at the teach pendant, now")
             answer = sockets.command(self.STOP)
         rests = sockets.wait(lambda: not sockets.feedback().is_moving, self._start_timeout)

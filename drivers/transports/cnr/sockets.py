@@ -147,9 +147,9 @@ class Sockets(LinkThread):
                 self._answers.get()  # the answer to a command that was given up
             self.post(kind, point)
             while (remaining := limit - time.monotonic()) > 0:
-                seen = acts()
+                acted = acts()
                 answer = self._answer((kind,), time.monotonic() + min(remaining, _ACTING))
-                if answer is not None or seen:
+                if answer is not None or acted:
                     return None if answer is None else answer[1]
             return None
 

@@ -90,14 +90,14 @@ class ModbusLink(LinkThread):
 
     def _result(self, future: Future[Result]) -> Result:
         """Of a job, however long it takes while the thread goes on; a stall of the whole process passes."""
-        seen, stood = -1, 0
+        turns, stood = -1, 0
         while stood < 2:
             with contextlib.suppress(TimeoutError):
                 return future.result(self.timeout + _STANDSTILL)
             if future.done():
                 return future.result()
-            stood = stood + 1 if seen == self._turns else 0
-            seen = self._turns
+            stood = stood + 1 if turns == self._turns else 0
+            turns = self._turns
         self.failure = DriverError(
             f"the link to {self.peer} does not go on: its thread waits for something that does not come; connect again"
         )

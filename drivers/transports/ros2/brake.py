@@ -164,12 +164,12 @@ def main(arguments: Sequence[str], agent: TextIO) -> int:
                 believed.take(sample, time.monotonic())
 
     ros.raw("sensor_msgs.msg", "JointState", target.name(JOINT_STATES), take, depth=2)
-    orders, told, cancel_at = Orders(time.monotonic()), False, math.inf
+    orders, announced, cancel_at = Orders(time.monotonic()), False, math.inf
     while True:
         time.sleep(_TURN if orders.strength is not None else 5 * _TURN)
         ros.take_messages()  # nothing is asked, so no answers have to be looked for
-        if not told and believed.sample is not None and publisher.get_subscription_count() > 0:
-            told = True
+        if not announced and believed.sample is not None and publisher.get_subscription_count() > 0:
+            announced = True
             print(_READY, file=agent)
         if select.select([0], [], [], 0.0)[0]:
             orders.take(os.read(0, 65536), time.monotonic())

@@ -215,7 +215,7 @@ class RosLink(LinkThread):
         there = self.wait(lambda: self.believed.at > began and self._span() >= 0.9 * OBSERVED, until)
         self.check()
         with self._changed:
-            seen = np.array(self._seen)
+            stamps = np.array(self._seen)
         if self.doubt:
             raise DriverError(self.doubt)
         if not there:
@@ -223,11 +223,11 @@ class RosLink(LinkThread):
             if not self.believed.at > began:
                 raise DriverError(f"{topic} has fallen silent; is the joint_state_broadcaster still active?")
             raise DriverError(
-                f"the stamps of {topic} stand still or jump, the last is {seen[-1, 0]:.3f} s, so nobody knows how old "
-                "its samples are: the node that publishes it has to set header.stamp by one running clock"
+                f"the stamps of {topic} stand still or jump, the last is {stamps[-1, 0]:.3f} s, so nobody knows how "
+                "old its samples are: the node that publishes it has to set header.stamp by one running clock"
             )
-        half = seen[:, 0] < np.mean(seen[[0, -1], 0])
-        drift = (seen[~half, 1].min() - seen[half, 1].min()) / (np.ptp(seen[:, 0]) / 2)
+        half = stamps[:, 0] < np.mean(stamps[[0, -1], 0])
+        drift = (stamps[~half, 1].min() - stamps[half, 1].min()) / (np.ptp(stamps[:, 0]) / 2)
         if abs(drift) > _DRIFT and not again:  # a busy computer may keep either end waiting for once
             self.forget()
             return self.pace(again=True)
@@ -237,8 +237,8 @@ class RosLink(LinkThread):
                 f"{self.target.node} runs on {what}, which {'loses' if drift > 0 else 'gains'} {abs(drift):.2g} s in "
                 "each of its seconds; let the simulator run in real time, or look at the clocks of both computers"
             )
-        ages = seen[:, 1] - seen[:, 1].min()
-        return (len(seen) - 1) / float(np.ptp(seen[:, 0])), float(np.quantile(ages, 0.99))
+        ages = stamps[:, 1] - stamps[:, 1].min()
+        return (len(stamps) - 1) / float(np.ptp(stamps[:, 0])), float(np.quantile(ages, 0.99))
 
     def forget(self) -> None:
         """Leave out of `pace` how samples came so far: something else kept this computer busy."""

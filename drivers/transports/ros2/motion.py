@@ -379,8 +379,8 @@ class Ros2Motion(SampleStream):
         times = [stamp for stamp, _ in self._recent]
         if len(times) < 3 or times[-1] - times[0] < 0.8 * _SPAN:
             return False
-        way = np.ptp([position for _, position in self._recent], axis=0)
-        return bool(np.all(way <= _STILL * _SPAN * 2))
+        travelled = np.ptp([position for _, position in self._recent], axis=0)
+        return bool(np.all(travelled <= _STILL * _SPAN * 2))
 
     def _has_left(self, sample: JointSample) -> bool:
         """Whether the arm is where its trajectory would not have it: one that has not set out yet stands as well."""

@@ -144,10 +144,10 @@ class TcpLink(LinkThread):
             self._send(message, request)
             until = time.monotonic() + timeout
             while (remaining := until - time.monotonic()) > 0:
-                seen = acts()
+                acted = acts()
                 with contextlib.suppress(queue.Empty):
                     return answers.get(timeout=min(remaining, _ACTING))
-                if seen:
+                if acted:
                     break
             return None
         finally:

@@ -291,7 +291,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         def over() -> bool:
             return motion.fault is not None or motion.stopping or motion.over
 
-        seen = link.wait(lambda: runs() or over(), self._timeout)
+        begun = link.wait(lambda: runs() or over(), self._timeout)
         link.check()
         motion.check()
         if motion.fault is not None:
@@ -299,7 +299,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             raise RefusedError(
                 f"{self.address}: the controller refused program {program.name}: {motion.fault} ({motion.seen})"
             )
-        if not seen:
+        if not begun:
             raise DriverError(
                 f"{self.address}: the controller did not start program {program.name} within {self._timeout:g} s "
                 f"({motion.seen}). Is the primary interface switched on there, and the robot in remote control?"

@@ -98,10 +98,10 @@ class UrLink(LinkThread):
             DriverError: none came.
         """
         with self._changed:
-            seen = self.count if since is None else since
-            self.wait(lambda: self.count > seen, self._timeout)
+            count = self.count if since is None else since
+            self.wait(lambda: self.count > count, self._timeout)
             self.check()
-            if self._last is None or self.count == seen:
+            if self._last is None or self.count == count:
                 raise DriverError(f"{self.peer}: RTDE is silent: no sample within {self._timeout:g} s")
             return self._last
 
