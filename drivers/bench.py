@@ -62,18 +62,18 @@ class WireRelay(Relay):
 
     def __init__(self, target: tuple[str, int]) -> None:
         self.silent = self._swallows = False
-        self._said: list[bytes] = []
+        self._sent: list[bytes] = []
         self._answered = threading.Event()
         super().__init__(target, self._pass)
 
     def opened(self) -> None:
         """Only what is said on this link is said again."""
-        self._said.clear()
+        self._sent.clear()
 
     def replay(self) -> None:
         """Say it again, piece by piece; no answer arrives."""
         self._swallows = True
-        for data in list(self._said):
+        for data in list(self._sent):
             self._answered.clear()
             self.sockets[-1].sendall(data)
             self._answered.wait(0.05)
@@ -81,7 +81,7 @@ class WireRelay(Relay):
 
     def _pass(self, outward: bool, data: bytes) -> bytes:
         if outward:
-            self._said.append(data)
+            self._sent.append(data)
             return data
         self._answered.set()
         return b"" if self.silent or self._swallows else data

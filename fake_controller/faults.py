@@ -129,7 +129,7 @@ class Faults:
         self._lock = threading.Lock()
         self._waiting = list(faults)
         self._armed: list[Fault] = []
-        self._held: bytes | None = None
+        self._delayed: bytes | None = None
         self._lasting: set[str] = set()
         self._silent = self._deaf = False
 
@@ -171,7 +171,7 @@ class Faults:
         """A new client finds the wire in order; faults that did not strike yet still wait."""
         with self._lock:
             self._armed.clear()
-            self._held = None
+            self._delayed = None
             self._lasting.clear()
             self._silent = self._deaf = False
 
@@ -194,7 +194,7 @@ class Faults:
             return
         with self._lock:
             armed, self._armed = self._armed, []
-            held, self._held = self._held, None
+            held, self._delayed = self._delayed, None
         for fault in armed:
             if fault.name == "drop":
                 transmit(frame[: len(frame) // 2])
@@ -207,7 +207,7 @@ class Faults:
             elif fault.name == "duplicate":
                 transmit(frame)
             elif fault.name == "reorder":
-                self._held = frame
+                self._delayed = frame
                 return
         transmit(frame)
         if held is not None:

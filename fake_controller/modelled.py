@@ -103,7 +103,7 @@ class BeyondMachine:
             if is_own[k]:
                 values[len(model.independent) + k] -= own[term.axle, _OWN.index(term.form)]
         others = tuple(entry for entry in model.effects if entry.effect not in _SIMULATED)
-        self._rest = replace(model, values=values, effects=others)
+        self._other_terms = replace(model, values=values, effects=others)
 
     def torque(self, start: float, position: np.ndarray, velocity: np.ndarray, period: float) -> np.ndarray:
         """(S, n) [N·m] along set-points (S, n) and their velocities, the first at `start` [s]."""
@@ -111,7 +111,7 @@ class BeyondMachine:
             return np.zeros_like(position)
         acceleration = np.gradient(velocity, period, axis=0)
         time = start + period * np.arange(len(position))
-        whole = self._rest.predict(position, velocity, acceleration, time)
+        whole = self._other_terms.predict(position, velocity, acceleration, time)
         coupling = self._model.robot.coupling
         rotors = self._rotors * (acceleration @ coupling.T)
         return whole - self._links.inverse_dynamics(position, velocity, acceleration) - rotors @ coupling

@@ -62,7 +62,9 @@ class ExperimentScorer:
         sides = [(*pair.shared, pair.first.form, pair.second.form) for pair in pairs]
         self._forms = [form for form in dict.fromkeys(form for side in sides for form in side) if form is not None]
         self._known, self._prior, ends = evidence.information(self._forms)
-        self._place = {form: np.arange(a, b) for form, (a, b) in zip(self._forms, pairwise(ends), strict=True)}
+        self._columns_of_form = {
+            form: np.arange(a, b) for form, (a, b) in zip(self._forms, pairwise(ends), strict=True)
+        }
         self._reached = MotionCoverage.of(dataset.fit.signals)
 
     @property
@@ -117,7 +119,7 @@ class ExperimentScorer:
     def energy(self, gain: InformationGain, side: Side) -> float:
         """Information that motions have of a side's own size."""
         assert side.form is not None
-        columns = self._place[side.form]
+        columns = self._columns_of_form[side.form]
         return float(side.values @ gain.information[np.ix_(columns, columns)] @ side.values)
 
     def evidence(self, added: InformationGain) -> np.ndarray:
@@ -142,10 +144,10 @@ class ExperimentScorer:
         reached = self._reached + added.coverage
         if reached.lacking(true.form.effect, true.form.joints):
             return 0.0
-        free = [np.arange(model), *(self._place[form] for form in pair.shared)]
+        free = [np.arange(model), *(self._columns_of_form[form] for form in pair.shared)]
         if rival.form is not None and not reached.lacking(rival.form.effect, rival.form.joints):
-            free.append(self._place[rival.form])
-        at, columns = np.concatenate(free), self._place[true.form]
+            free.append(self._columns_of_form[rival.form])
+        at, columns = np.concatenate(free), self._columns_of_form[true.form]
         values = true.values if len(true.values) else self._practical(true.form)
         side = whole[np.ix_(at, columns)] @ values
         matrix = whole[np.ix_(at, at)] + self._prior[np.ix_(at, at)]

@@ -154,7 +154,7 @@ class OrlInterpolator:
                 "fly"
             )
         self._library, self._arm = _started(path, os.environ.get(CONTROLLER, ""), arm), int(arm)
-        self._place = (_SILENT, _FIRST_CONTROLLER, self._arm - 1)
+        self._arm_identifiers = (_SILENT, _FIRST_CONTROLLER, self._arm - 1)
         self._set_period()
 
     def plan(self, statements: Sequence[Statement], start: np.ndarray) -> Trajectory:
@@ -181,7 +181,7 @@ class OrlInterpolator:
                 samples.append(self._steps(chain, here))
             except MotionError:
                 # Nothing to cancel is an error to the library, and none to us.
-                self._library.ORL_cancel_motion(*self._place)
+                self._library.ORL_cancel_motion(*self._arm_identifiers)
                 raise
             owners.append(self._owners(chain, samples[-1]))
             here, chain = samples[-1][-1], []
@@ -194,7 +194,7 @@ class OrlInterpolator:
             raise InputError(f"the library refuses a period of {1e3 * self.period:g} ms: {refused}") from None
 
     def _call(self, name: str, *arguments: object) -> None:
-        status = getattr(self._library, name)(*arguments, *self._place)
+        status = getattr(self._library, name)(*arguments, *self._arm_identifiers)
         if status != 0:
             raise _CallRefused(f"{name}: status {status}")
 
@@ -215,7 +215,7 @@ class OrlInterpolator:
         steps: list[np.ndarray] = []
         while len(steps) * self.period <= _LONGEST:
             joints = self._joints()
-            status = self._library.ORL_get_next_interpolation_step(joints, *self._place)
+            status = self._library.ORL_get_next_interpolation_step(joints, *self._arm_identifiers)
             if status not in (_MOVING, _NEED_DATA, _FINAL):
                 idle = "the library has nothing to move before the move has ended"
                 raise _refusal(chain[announced - 1][0], idle if status == _IDLE else f"no next step: status {status}")

@@ -24,15 +24,15 @@ class Scratch:
     """Owner of arrays and of their memory. A full disk is an OSError of `empty` and `keep`, not a bus error later."""
 
     def __init__(self) -> None:
-        self._left = _IN_MEMORY
+        self._memory_left = _IN_MEMORY
         self._extents: list[mmap.mmap] = []
         self._used = 0
 
     def empty(self, shape: tuple[int, ...]) -> np.ndarray:
         """An array of float64 whose values are to be written."""
         size = 8 * int(np.prod(shape))
-        if size <= self._left:
-            self._left -= size
+        if size <= self._memory_left:
+            self._memory_left -= size
             return np.empty(shape)
         if not self._extents or self._used + size > len(self._extents[-1]):
             self._extents.append(_extent(max(size, _EXTENT)))
@@ -42,8 +42,8 @@ class Scratch:
 
     def keep(self, values: np.ndarray) -> np.ndarray:
         """The same values, moved here; in the order of memory they had."""
-        if values.nbytes <= self._left:
-            self._left -= values.nbytes
+        if values.nbytes <= self._memory_left:
+            self._memory_left -= values.nbytes
             return values
         turned = values.ndim > 1 and values.flags.f_contiguous
         moved = self.empty(values.T.shape if turned else values.shape)

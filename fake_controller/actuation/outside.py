@@ -99,14 +99,14 @@ class RubbingBrake(FrictionEffect):
     def install_on(self, machine: Machine, k: int) -> None:
         self._rng = np.random.default_rng([int(self.seed), 13, k])
         self._drags = False
-        self._left = float(self._rng.exponential(self.off))
+        self._time_left = float(self._rng.exponential(self.off))
         super().install_on(machine, k)
 
     def level(self, level: float, speed: float, load: float, angle: float) -> float:
         return level + self.drag if self._drags else level
 
     def heat(self, power: float, dt: float) -> None:
-        self._left -= dt
-        if self._left <= 0.0:
+        self._time_left -= dt
+        if self._time_left <= 0.0:
             self._drags = not self._drags
-            self._left = float(self._rng.exponential(self.on if self._drags else self.off))
+            self._time_left = float(self._rng.exponential(self.on if self._drags else self.off))

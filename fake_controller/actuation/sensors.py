@@ -77,7 +77,7 @@ class _Late:
     def __init__(self, delay: float):
         self._whole = int(np.ceil(0.5 * delay))
         self._share = self._whole - 0.5 * delay  # of the next sample, linear in between
-        self._kept = 0.25 * delay / (1.0 + 0.25 * delay)
+        self._memory_share = 0.25 * delay / (1.0 + 0.25 * delay)
         self._line = self._memory = np.empty((0, 0))
 
     def pass_on(self, samples: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ class _Late:
             self._memory = np.tile(shifted[0], (2, 1))
         out = np.empty_like(shifted)
         for k, sample in enumerate(shifted):
-            self._memory[0] += (1.0 - self._kept) * (sample - self._memory[0])
-            self._memory[1] += (1.0 - self._kept) * (self._memory[0] - self._memory[1])
+            self._memory[0] += (1.0 - self._memory_share) * (sample - self._memory[0])
+            self._memory[1] += (1.0 - self._memory_share) * (self._memory[0] - self._memory[1])
             out[k] = self._memory[1]
         return out

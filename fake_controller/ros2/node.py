@@ -96,7 +96,7 @@ class Ros2Server:
 
         self.cell, self.address = cell, address
         self.taken: deque[Any] = deque(maxlen=100)  # trajectories, as they came
-        self._place = place = RosAddress.of(address)
+        self._target = place = RosAddress.of(address)
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=place.domain, signal_handler_options=rclpy.SignalHandlerOptions.NO)
         self._nodes = [self._controller_node(goals), self._manager_node()]
@@ -129,7 +129,7 @@ class Ros2Server:
         from std_msgs.msg import String
         from trajectory_msgs.msg import JointTrajectory
 
-        place, cell = self._place, self.cell
+        place, cell = self._target, self.cell
         node = Node(place.controller, namespace=place.namespace, context=self.context)
         tolerances = {f"constraints.{name}.trajectory": cell.tolerance for name in cell.robot.joint_names}
         parameters: dict[str, Any] = {
@@ -159,10 +159,10 @@ class Ros2Server:
     def _manager_node(self) -> Any:
         from rclpy.node import Node
 
-        node = Node(MANAGER, namespace=self._place.namespace, context=self.context)
+        node = Node(MANAGER, namespace=self._target.namespace, context=self.context)
         node.declare_parameter("update_rate", round(1.0 / self.cell.period))
         kind = "joint_trajectory_controller/JointTrajectoryController"
-        node.declare_parameter(f"{self._place.controller}.type", kind)
+        node.declare_parameter(f"{self._target.controller}.type", kind)
         return node
 
     def _offer_goals(self, node: Any) -> bool:
@@ -206,13 +206,13 @@ class Ros2Server:
         self._action = ActionServer(
             node,
             FollowJointTrajectory,
-            self._place.action,
+            self._target.action,
             execute,
             goal_callback=offered,
             cancel_callback=cancelled,
             callback_group=ReentrantCallbackGroup(),
         )
-        topic = self._place.name(self._place.controller, "controller_state")
+        topic = self._target.name(self._target.controller, "controller_state")
         self._state_publisher = node.create_publisher(JointTrajectoryControllerState, topic, 10)
         self._state = SetPointWriter(cell.robot.joint_names)
         return True

@@ -144,7 +144,7 @@ def test_every_machine_has_a_current_model_of_its_own(write_runs, machines):
 
 @given(st.lists(st.tuples(NAMES.filter(bool), NAMES), unique=True, min_size=2, max_size=6))
 def test_no_two_machines_share_a_folder(tmp_path_factory, machines):
-    from agent.runs.current import _place
+    from agent.runs.current import _model_folder
 
     logs = tmp_path_factory.mktemp("logs")
-    assert len({_place(logs, *machine) for machine in machines}) == len(machines)
+    assert len({_model_folder(logs, *machine) for machine in machines}) == len(machines)

@@ -100,11 +100,11 @@ class _Run:
         self.system: dict[str, Value] = {}
         self.memory = Memory(scope.constants, self.variables, self.system, scope.variables)
         self.limit = limit
-        self.left = limit
+        self.steps_left = limit
 
     def step(self, position: TextPosition) -> None:
-        self.left -= 1
-        if self.left < 0:
+        self.steps_left -= 1
+        if self.steps_left < 0:
             raise StepLimitError(f"the program executes more than {self.limit} statements", position)
 
     def block(self, block: syntax.Block) -> Iterator[Statement]:

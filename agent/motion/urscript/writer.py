@@ -47,7 +47,7 @@ class ScriptWriter:
     def __init__(self, robot: RobotDescription | None):
         self._robot = robot
         self._frames: list[str] | None = None  # that the program begins with
-        self._said: list[str] = []
+        self._settings_lines: list[str] = []
 
     def statement(self, statement: Statement, indent: str = "  ") -> list[str]:
         """Its lines."""
@@ -55,10 +55,10 @@ class ScriptWriter:
             return [f"{indent}sleep({statement.seconds:.12g})"]
         settings = UrSettings.of(statement.settings)
         before = _frames(settings)
-        changed = [line for line in before if line not in self._said]
+        changed = [line for line in before if line not in self._settings_lines]
         if self._frames is None:
             self._frames, changed = before, []
-        self._said = before
+        self._settings_lines = before
         targets = [target for target in (statement.via, statement.target) if target is not None]
         where = ", ".join(self._target(target) for target in targets)
         joint = statement.type is MoveType.JOINT

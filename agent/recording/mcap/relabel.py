@@ -21,8 +21,8 @@ class LogCopy:
 
     def __init__(self, source: Path):
         self.source = source
-        self._found = scan(source)
-        self._states = self._found.topics[STATES]
+        self._scanned = scan(source)
+        self._states = self._scanned.topics[STATES]
         self.first_stamp = min(int(group.stamp.min()) for group in self._states)
 
     def write(self, target: Path, start: float, facts: Mapping[str, str], padding: int) -> float:
@@ -39,14 +39,14 @@ class LogCopy:
         -------
         Stamp of the last sample [s].
         """
-        run, names = self._found.metadata[RUN], self._states[0].layout.names
+        run, names = self._scanned.metadata[RUN], self._states[0].layout.names
         rate = float(run["sample_rate_hz"]) if "sample_rate_hz" in run else None
         with (
             written_whole(target) as unfinished,
             closing(LogFile(unfinished, names, run["robot"], run["motion"], rate, lambda: start, facts)) as file,
         ):
             for topic in (STATES, REFERENCES, PLANNED):
-                for group in self._found.topics.get(topic, ()):
+                for group in self._scanned.topics.get(topic, ()):
                     times = start + (group.stamp - self.first_stamp) / NANO
                     file.write_states(topic, times, group.position, group.velocity, group.effort)
             for cycle in json.loads(run.get("cycle_starts_s", "[]")):

@@ -160,7 +160,7 @@ def scan(path: Path) -> Scan:
 
 
 def _read_mcap(path: Path, file: IO[bytes], messages: _Collector) -> None:
-    scanned, size, chunks = messages.found, os.fstat(file.fileno()).st_size, 0
+    scanned, size, chunks = messages.scanned, os.fstat(file.fileno()).st_size, 0
     magic = file.read(len(_MAGIC))
     if magic != _MAGIC:
         what = "not an MCAP file" if size else "the file is empty"
@@ -278,7 +278,7 @@ class _Collector:
     """Decodes messages of joints' states and commands."""
 
     def __init__(self, scanned: Scan):
-        self.found = scanned
+        self.scanned = scanned
         self._schemas: dict[int, tuple[str, str]] = {}
         self._channels: dict[int, _Channel] = {}
         self._layouts: dict[tuple[int, int], list[list[JointStateLayout] | list[FormLayout]]] = defaultdict(list)
@@ -287,7 +287,7 @@ class _Collector:
             lambda: ([], [], [])
         )
         self._size = 0
-        self._place = 0
+        self._position = 0
 
     def take(self, opcode: int, body: bytes) -> None:
         """A record of an MCAP file; one that cannot be read is ignored."""
@@ -307,7 +307,7 @@ class _Collector:
 
     def channel(self, number: int, topic: str, kind: str, encoding: str, definition: str = "") -> bool:
         """Messages of this number are of this topic. Returns whether they are read."""
-        self.found.types[topic] = f"{kind} ({encoding})"
+        self.scanned.types[topic] = f"{kind} ({encoding})"
         self._channels.pop(number, None)
         form, text = form_of(kind), definition_of(kind, definition)
         if encoding == "json":
@@ -320,9 +320,9 @@ class _Collector:
                 self._channels[number] = _Channel(topic, encoding == "ros1", form, schema, form.commands)
         channel = self._channels.get(number)
         if channel is not None and (channel.form is not None or encoding == "json") and not channel.commands:
-            self.found.others.add(topic)
+            self.scanned.others.add(topic)
             if channel.form is not None and channel.form.effort_is:
-                self.found.effort_is[topic] = channel.form.effort_is
+                self.scanned.effort_is[topic] = channel.form.effort_is
         return channel is not None
 
     def message(self, channel: int, data: bytes, received: int = 0) -> None:
@@ -332,10 +332,10 @@ class _Collector:
         if data.startswith(ZSTD):
             data = _message_data(data)
         places, times, waiting = self._waiting[channel, len(data)]
-        places.append(self._place)
+        places.append(self._position)
         times.append(received)
         waiting.append(data)
-        self._place += 1
+        self._position += 1
         self._size += len(data)
         if self._size >= _BATCH:
             self.decode()
@@ -366,7 +366,7 @@ class _Collector:
             if tried == len(known):
                 layouts = self._next_layouts(messages[0].tobytes(), channel)
                 if layouts is None:
-                    self.found.unreadable[channel.topic] += 1
+                    self.scanned.unreadable[channel.topic] += 1
                     messages, order, received = messages[1:], order[1:], received[1:]
                     continue
                 known.append(layouts)
@@ -388,7 +388,7 @@ class _Collector:
         received: np.ndarray,
     ) -> None:
         """Messages (K, L) of one layout as numbers."""
-        keep, scanned = self.found.scratch.keep, self.found
+        keep, scanned = self.scanned.scratch.keep, self.scanned
         taken = map(partial(layout.array, rows), range(3))
         position, velocity, effort = (None if values is None else keep(values) for values in taken)
         if isinstance(layout, JointStateLayout):
@@ -407,10 +407,10 @@ class _Collector:
             try:
                 names, values = joint_values(data)
             except ValueError:
-                self.found.unreadable[channel.topic] += 1
+                self.scanned.unreadable[channel.topic] += 1
                 continue
             alike.setdefault((names, tuple(values), len(values["position"])), []).append((k, values))
-        topics = self.found.commands if channel.commands else self.found.topics
+        topics = self.scanned.commands if channel.commands else self.scanned.topics
         for (names, _, count), decoded in alike.items():
             called = names or tuple(f"{NAMELESS}{k + 1}" for k in range(count))
             rows = [k for k, _ in decoded]
@@ -423,7 +423,7 @@ class _Collector:
             if "set_point" in decoded[0][1] and not channel.commands:
                 asked = np.array([values["set_point"] for _, values in decoded])
                 held = Messages(layout, order[rows], times, asked, None, None, times, times)
-                self.found.commands[channel.topic].append(held)
+                self.scanned.commands[channel.topic].append(held)
 
     def _next_layouts(self, message: bytes, channel: _Channel) -> list[JointStateLayout] | list[FormLayout] | None:
         if self._layout_count == _MAX_LAYOUTS:

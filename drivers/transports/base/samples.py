@@ -29,7 +29,7 @@ class Sequencer:
     def __init__(self) -> None:
         self.expected = 0
         self._gaps: list[Gap] = []
-        self._held: dict[int, SampleBlock] = {}
+        self._pending: dict[int, SampleBlock] = {}
         self._latest = float("-inf")
         self._joints: int | None = None  # of the first block
         self._released = 0  # the sequence number after the last sample that was given
@@ -43,7 +43,7 @@ class Sequencer:
     @property
     def held(self) -> int:
         """Samples that wait for earlier ones."""
-        return sum(len(block) for block in self._held.values())
+        return sum(len(block) for block in self._pending.values())
 
     def accept(self, block: SampleBlock) -> list[SampleBlock]:
         """The blocks that are in order now; may be none.
@@ -64,15 +64,15 @@ class Sequencer:
             raise ProtocolError(
                 f"the controller's sample counter went back from {self.expected} to {first}: it was reset in mid-motion"
             )
-        earlier = self._held.get(first)
+        earlier = self._pending.get(first)
         if earlier is not None and len(earlier) >= len(block):
             return []
-        self._held[first] = block
+        self._pending[first] = block
         return self._release()
 
     def missing(self, total: int | None = None) -> tuple[int, int] | None:
         """(first, count) of the samples in front of what is held back, or before `total`, if any are missing."""
-        end = min(self._held) if self._held else total
+        end = min(self._pending) if self._pending else total
         if end is None or end <= self.expected:
             return None
         return self.expected, end - self.expected
@@ -89,11 +89,11 @@ class Sequencer:
 
     def _release(self) -> list[SampleBlock]:
         ready = []
-        while self._held:
-            first = min(self._held)
+        while self._pending:
+            first = min(self._pending)
             if first > self.expected:
                 break
-            block = self._held.pop(first)
+            block = self._pending.pop(first)
             if (known := self.expected - first) > 0:
                 block = block.part(known)
             if len(block):

@@ -82,17 +82,17 @@ class Joiner:
         self._blank: list[tuple[float, ...] | None] = [None] * len(self._channels)
         self._step = period  # between samples as they are [µs]
         self._whole: list[_Sample] = []
-        self._given = self._newest = _NEVER  # time of the last sample given out or up, and of the newest whole one
+        self._released = self._newest = _NEVER  # time of the last sample given out or up, and of the newest whole one
 
     def add(self, channel: int, time_us: int, values: tuple[float, ...]) -> None:
         """Take one message."""
         with self._lock:
-            if time_us < self._given - _BACK_US:
+            if time_us < self._released - _BACK_US:
                 self.restarts += 1
-                self._waiting, self._given, self._newest = [], _NEVER, _NEVER
+                self._waiting, self._released, self._newest = [], _NEVER, _NEVER
             sample = self._find(channel, time_us)
             if sample is None:
-                if time_us <= self._given + _SAME * self._period:
+                if time_us <= self._released + _SAME * self._period:
                     self.counts.late += 1
                     return
                 sample = _Sample(time_us, self._blank.copy())
@@ -167,8 +167,8 @@ class Joiner:
         while self._waiting:
             sample = self._waiting[0]
             patient = self._newest - sample.time <= _PATIENCE * self._period and len(self._waiting) <= _MOST_WAITING
-            step = sample.time - self._given
-            follows = self._given < 0 or step < 1.5 * self._step
+            step = sample.time - self._released
+            follows = self._released < 0 or step < 1.5 * self._step
             whole = None not in sample.values
             if patient and not (whole and follows):
                 return
@@ -179,7 +179,7 @@ class Joiner:
             for name, values in zip(self._channels, sample.values, strict=True):
                 if values is None:
                     self.counts.missing[name] = self.counts.missing.get(name, 0) + 1
-            if self._given > 0:
+            if self._released > 0:
                 self._step += (min(max(step, self._period), 2 * self._period) - self._step) / _STEPS
-            self._given = sample.time
+            self._released = sample.time
             del self._waiting[0]

@@ -221,7 +221,7 @@ class CnrMotion(SampleStream):
         self._quiet = 0
         self._time = -np.inf  # controller time of the last feedback [s]
         self._rest: tuple[float, np.ndarray] | None = None  # since when the arm rests, and where
-        self._held: list[tuple[np.ndarray, np.ndarray]] = []  # rest before the motion
+        self._before_motion: list[tuple[np.ndarray, np.ndarray]] = []  # rest before the motion
         self._giving = False
         self._seen = -np.inf  # sample time [s] of the last sample that came
         self._target: np.ndarray | None = None
@@ -295,7 +295,7 @@ class CnrMotion(SampleStream):
         if self.begun_at is None and len(changed):
             self.begun_at = float(times[changed[0]])
         if not self._giving:
-            self._held.append((times, values))
+            self._before_motion.append((times, values))
             self._wait_for_motion()
         else:
             self._give(times, values)
@@ -402,15 +402,15 @@ class CnrMotion(SampleStream):
 
         Where a person starts it, the set-points tell when.
         """
-        latest = self._held[-1][0]
+        latest = self._before_motion[-1][0]
         began = float(latest[0]) if self.begun_at is None else self.begun_at
         if self.begun_at is None and (self._is_over is None or not self.started):
-            while len(self._held) > 1 and self._held[1][0][0] < latest[-1] - _BEFORE:
-                del self._held[0]
+            while len(self._before_motion) > 1 and self._before_motion[1][0][0] < latest[-1] - _BEFORE:
+                del self._before_motion[0]
             return
-        times = np.concatenate([times for times, _ in self._held])
-        values = np.concatenate([values for _, values in self._held])
-        self._held, self._giving = [], True
+        times = np.concatenate([times for times, _ in self._before_motion])
+        values = np.concatenate([values for _, values in self._before_motion])
+        self._before_motion, self._giving = [], True
         holes = np.flatnonzero(np.diff(times[times <= began]) > _HOLE * self._arm.period)
         first = max(int(np.searchsorted(times, began - _BEFORE)), int(holes[-1]) + 1 if len(holes) else 0)
         self._give(times[first:], values[first:])

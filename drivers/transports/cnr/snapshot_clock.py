@@ -102,7 +102,7 @@ class SnapshotClock:
 
     def _forget(self) -> None:
         self._rows: Rows | None = None
-        self._given = 0  # of them: rows before are kept to tell the phase
+        self._given_out = 0  # of them: rows before are kept to tell the phase
         self._numbers = np.empty(0)  # of these
         self._estimated = 0  # rows that had come when the phase was estimated last
         self._phase: float | None = None  # [µs]
@@ -160,15 +160,15 @@ class SnapshotClock:
         if self._rows is None:
             return rows.times, rows.values
         stop = len(self._rows.times) - (0 if now - self._came > _IDLE else _AHEAD)
-        if stop <= self._given:
+        if stop <= self._given_out:
             return rows.times[:0], rows.values[:0]
         if self._phase is None or self._seen - self._estimated >= _EVERY:
             self._estimated = self._seen
             self._find_phase(self._rows)
         assert self._phase is not None
-        samples = self._samples(self._rows, self._given, stop, self._phase)
+        samples = self._samples(self._rows, self._given_out, stop, self._phase)
         first = max(0, stop - _BEHIND)  # a few of those that are given out still tell the phase
-        self._rows, self._given = self._rows.part(slice(first, None)), stop - first
+        self._rows, self._given_out = self._rows.part(slice(first, None)), stop - first
         return samples
 
     def _find_phase(self, rows: Rows) -> None:

@@ -127,12 +127,12 @@ class Orders:
     def __init__(self, now: float) -> None:
         self.strength: np.ndarray | None = None  # while armed
         self.heard, self.ended = now, False
-        self._rest = b""
+        self._buffer = b""
 
     def take(self, data: bytes, now: float) -> None:
         """Bytes of its lines; none where its end is closed."""
         self.heard, self.ended = now, not data
-        *lines, self._rest = (self._rest + data).split(b"\n")
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
         for line in lines:
             word, *values = line.split()[:65] or [b""]
             if word == b"arm":

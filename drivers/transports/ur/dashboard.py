@@ -53,7 +53,7 @@ class Dashboard:
         self._timeout = timeout
         self._lock = threading.Lock()
         self._owed = 0  # answers that did not come in time
-        self._rest = b""
+        self._buffer = b""
         self._socket = open_socket(address, timeout)
         try:
             greeting = self._line("the greeting of the dashboard")
@@ -121,18 +121,18 @@ class Dashboard:
 
     def _line(self, asked: str) -> str:
         try:
-            while b"\n" not in self._rest:
+            while b"\n" not in self._buffer:
                 data = self._socket.recv(_LONGEST)
                 if not data:
                     raise DriverError(f"the dashboard at {self.address} closed the connection")
-                self._rest += data
-                if len(self._rest) > _LONGEST:
+                self._buffer += data
+                if len(self._buffer) > _LONGEST:
                     raise ProtocolError(f"{self.address} is no dashboard of a UR controller: a line without an end")
         except TimeoutError:
             raise self._silent(asked, self._socket.gettimeout()) from None
         except OSError as error:
             raise dropped(self.address, error) from None
-        line, _, self._rest = self._rest.partition(b"\n")
+        line, _, self._buffer = self._buffer.partition(b"\n")
         return line.decode("latin-1").strip()
 
     def _silent(self, asked: str, within: float | None) -> DriverError:

@@ -61,7 +61,7 @@ class UrMotion(SampleStream):
         self._program = program
         self._period = period
         self._torque_per_ampere = torque_per_ampere
-        self._said = ""  # the controller's last error text
+        self._error_text = ""  # the controller's last error text
         self._first: float | None = None
         self._number = -1
         self._second = (0, 0)  # number and count of samples when it began
@@ -82,7 +82,7 @@ class UrMotion(SampleStream):
                 )
             self.loaded = self.loaded or (message.started and message.name == self._program)
         else:
-            self._said = str(message)
+            self._error_text = str(message)
             self.fault = message if message.fatal and self.fault is None else self.fault
 
     def samples(self, samples: np.ndarray) -> None:
@@ -117,7 +117,7 @@ class UrMotion(SampleStream):
             reason, text = self._verdict or (EndReason.STOPPED if self.stopping else EndReason.DONE, "")
             if self.fault is not None and reason is EndReason.DONE:
                 reason = EndReason.PROGRAM_ERROR
-            self.ended(reason, self._number + 1, "; ".join(part for part in (self._said, text) if part))
+            self.ended(reason, self._number + 1, "; ".join(part for part in (self._error_text, text) if part))
 
     @property
     def unsafe(self) -> bool:

@@ -53,16 +53,16 @@ class LoopingNode:
         self._rng = np.random.default_rng(19)
         self._next = -np.inf  # when the loop reads positions [ns], and how much later currents
         self._late = 0.0
-        self._kept: tuple[np.ndarray, Slice] | None = None
+        self._pending: tuple[np.ndarray, Slice] | None = None
 
     def turns(self, time_ns: np.ndarray, samples: Slice) -> tuple[Slice, list[Publication]]:
         """What is published of samples (K,) that follow those of before, and the samples that it is taken from.
 
         The last samples stay for the next call.
         """
-        if self._kept is not None:
-            time_ns = np.concatenate([self._kept[0], time_ns])
-            pairs = zip(self._kept[1].columns, samples.columns, strict=True)
+        if self._pending is not None:
+            time_ns = np.concatenate([self._pending[0], time_ns])
+            pairs = zip(self._pending[1].columns, samples.columns, strict=True)
             samples = Slice(*(np.concatenate(pair) for pair in pairs))
         made = []
         at = max(self._next, float(time_ns[0]))
@@ -75,7 +75,7 @@ class LoopingNode:
             self._late = self._rng.uniform(*_READ_AFTER)
         self._next = at
         first = max(0, int(np.searchsorted(time_ns, at, side="right")) - 1)
-        self._kept = time_ns[first:], samples.part(slice(first, None))
+        self._pending = time_ns[first:], samples.part(slice(first, None))
         return samples, made
 
 

@@ -60,8 +60,8 @@ class Reports:
         self._index = controller.clock.now() // _PERIOD_NS  # of the last sample, on the grid of the period
         still = np.zeros((1, controller.robot.dof))
         self._last = Slice(controller.position[None], still, controller.torque[None], controller.reference[None], still)
-        self._told: Feedback | None = None  # the record that was offered last
-        self._told_at = 0.0  # s, monotonic
+        self._offered: Feedback | None = None  # the record that was offered last
+        self._offered_at = 0.0  # s, monotonic
         self._lock, self._closing = threading.Lock(), threading.Event()
         self._telling = threading.Lock()  # records go out in the order in which they were true
         self._thread = threading.Thread(target=self._rest, name="reports", daemon=True)
@@ -172,14 +172,14 @@ class Reports:
             time=(int(time_ns) - self._counted_from) // 1_000_000,
             is_moving=int(self.flag),
         )
-        self._told, self._told_at = record, time.monotonic()
+        self._offered, self._offered_at = record, time.monotonic()
         self._feedback.offer(record, spare=not self.moving)
 
     def _tell_again(self) -> None:
         """The feedback program does not wait for an arm whose next moves are still planned."""
         with self._telling:
-            if self._told is not None and time.monotonic() - self._told_at > _LATE * TICK:
-                record = replace(self._told, is_moving=int(self.flag), last_point_processed=self.last_point)
+            if self._offered is not None and time.monotonic() - self._offered_at > _LATE * TICK:
+                record = replace(self._offered, is_moving=int(self.flag), last_point_processed=self.last_point)
                 self._feedback.offer(record, spare=True)
 
     def _state(self) -> StatusMessage:
