@@ -501,8 +501,8 @@ def _other_path(how: str) -> Build:
         def path(points: np.ndarray) -> np.ndarray:
             at = np.arange(len(points), dtype=float)
             if how == "faster":
-                there = np.minimum(at * rate, len(points) - 1)
-                return np.stack([np.interp(there, at, column) for column in points.T], axis=1)
+                index = np.minimum(at * rate, len(points) - 1)
+                return np.stack([np.interp(index, at, column) for column in points.T], axis=1)
             if how == "late":
                 return np.stack(
                     [np.interp(at - 1e3 * amount * lag, at, c) for lag, c in zip(lags, points.T, strict=True)], axis=1

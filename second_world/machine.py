@@ -241,12 +241,12 @@ def _mjcf(machine: DrawnMachine) -> str:
     return "".join([*parts, "</mujoco>"])
 
 
-def largest_change(here: dict[str, np.ndarray], there: dict[str, np.ndarray], nominal: np.ndarray) -> float:
+def largest_change(first: dict[str, np.ndarray], second: dict[str, np.ndarray], nominal: np.ndarray) -> float:
     """Largest root mean square change of torque over nominal, by motion and joint, smoothed over 5 ms."""
     largest = 0.0
-    for name, signals in here.items():
-        length = min(len(signals[2]), len(there[name][2]))
-        change = np.cumsum((signals[2, :length] - there[name][2, :length]) / nominal, axis=0)
+    for name, signals in first.items():
+        length = min(len(signals[2]), len(second[name][2]))
+        change = np.cumsum((signals[2, :length] - second[name][2, :length]) / nominal, axis=0)
         rms = np.sqrt(np.mean(((change[_MEAN:] - change[:-_MEAN]) / _MEAN) ** 2, axis=0))
         largest = max(largest, float(rms.max()))
     return largest

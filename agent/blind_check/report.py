@@ -85,9 +85,9 @@ def page(results: Sequence[Result]) -> str:
     ]
     lines = [f"# {NAME} {VERSION}: results", "", _DEFINITIONS]
     for world in dict.fromkeys(result["world"] for result in results):
-        here = [result for result in results if result["world"] == world]
-        scores = score(here)
-        introduction = f"{len({result['run'] for result in here})} runs, answered by {', '.join(scores)}."
+        of_world = [result for result in results if result["world"] == world]
+        scores = score(of_world)
+        introduction = f"{len({result['run'] for result in of_world})} runs, answered by {', '.join(scores)}."
         lines += [f"## World {world}", "", introduction, "", *_verdicts(scores), *_further(scores), *_power(scores)]
     return "\n".join(lines).rstrip() + "\n"
 

@@ -202,12 +202,12 @@ def _power(results: Sequence[Result]) -> list[dict[str, Any]]:
     """Runs with one effect by its size; the smallest ones count as any other."""
     rows = []
     for low, high in pairwise(_SIZES):
-        here = [result for result in results if low <= result["size"] < high]
-        detected = share(here, lambda result: result["outcome"] not in ("no gap", "no answer"))
-        right = share(here, lambda result: result["outcome"] in ("named", "in class"))
-        wrong = share(here, lambda result: result["outcome"] in _WRONG)
+        in_bin = [result for result in results if low <= result["size"] < high]
+        detected = share(in_bin, lambda result: result["outcome"] not in ("no gap", "no answer"))
+        right = share(in_bin, lambda result: result["outcome"] in ("named", "in class"))
+        wrong = share(in_bin, lambda result: result["outcome"] in _WRONG)
         upper = None if np.isinf(high) else high
-        rows.append({"from": low, "to": upper, "found": detected, "right": right, "wrong": wrong, **counts(here)})
+        rows.append({"from": low, "to": upper, "found": detected, "right": right, "wrong": wrong, **counts(in_bin)})
     return rows
 
 
@@ -217,9 +217,9 @@ def _calibration(results: Sequence[Result]) -> dict[str, Any]:
     true = np.array([result["outcome"] in ("named", "in class") for result in results], dtype=float)
     rows, error = [], 0.0
     for low, high in pairwise(_PROBABILITIES):
-        here = (stated >= low) & (stated < high)
-        if count := int(here.sum()):
-            mean, came = float(stated[here].mean()), float(true[here].mean())
+        in_bin = (stated >= low) & (stated < high)
+        if count := int(in_bin.sum()):
+            mean, came = float(stated[in_bin].mean()), float(true[in_bin].mean())
             error += abs(mean - came) * count / len(stated)
             rows.append({"from": low, "to": min(high, 1.0), "runs": count, "said": mean, "came": came})
     if not len(stated):

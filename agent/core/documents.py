@@ -218,10 +218,10 @@ def first_fault(data: Any, model: type[BaseModel]) -> str | None:
 
 def without_faults(data: Any, faults: Iterable[tuple[Any, ...]]) -> Any:
     """A copy of a document in which the faulty keys are missing; where one is missing already, what should hold it."""
-    there = {location[: _depth(data, location)] for location in faults}
+    locations = {location[: _depth(data, location)] for location in faults}
     corrected = copy.deepcopy(data)
     # from the end, so that earlier list indices stay valid
-    for *above, last in sorted((place for place in there if place), key=_in_order, reverse=True):
+    for *above, last in sorted((place for place in locations if place), key=_in_order, reverse=True):
         holder = corrected
         with contextlib.suppress(KeyError, IndexError, TypeError):  # gone with what held it
             for key in above:

@@ -129,13 +129,13 @@ class Candidates:
         poses = self.problem.regions.poses(genomes)
         joints, refused = self._joints(poses)
         loops: list[Loop | MotionError | KinematicsError] = []
-        for genome, points, there, refusal in zip(genomes, poses, joints, refused, strict=True):
+        for genome, points, q, refusal in zip(genomes, poses, joints, refused, strict=True):
             if refusal is not None:
                 loops.append(refusal)
                 continue
-            moves = loop_moves(points, self.problem.settings, there if self._redundant else None)
+            moves = loop_moves(points, self.problem.settings, q if self._redundant else None)
             try:
-                loops.append(Loop(genome, points, there[0], moves, self._interpolator.plan(moves, there[0])))
+                loops.append(Loop(genome, points, q[0], moves, self._interpolator.plan(moves, q[0])))
             except (MotionError, KinematicsError) as error:
                 loops.append(error)
         return loops if self._redundant else self._reaching(loops)
@@ -270,8 +270,8 @@ def via_joints(kinematics: Kinematics, loop: Loop) -> list[np.ndarray]:
 
 def _passing(loop: Loop) -> np.ndarray:
     """(K - 1, n) joints of a loop where it passes its via-points after the first."""
-    there = np.searchsorted(loop.trajectory.move, np.arange(len(loop.poses) - 1), side="right") - 1
-    return loop.trajectory.q[there]
+    samples = np.searchsorted(loop.trajectory.move, np.arange(len(loop.poses) - 1), side="right") - 1
+    return loop.trajectory.q[samples]
 
 
 def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:

@@ -96,8 +96,8 @@ def run_fleet(
         runs, robots = len(plant.tasks), len({task.robot for task in plant.tasks})
         summary = Summary(question.kind, source, out, runs, robots, kept=runs - len(todo))
         console.say(f"{counted(runs, 'run')} of {counted(robots, 'robot')}; {len(todo)} to be done")
-        here = {task.run for task in plant.tasks}
-        failed = {run: _failure(row) for run, row in known.items() if run in here and row["status"] != "ok"}
+        wanted = {task.run for task in plant.tasks}
+        failed = {run: _failure(row) for run, row in known.items() if run in wanted and row["status"] != "ok"}
         if todo:
             with engine(len(todo)) as workers:
                 _work(todo, workers, result, summary, failed, console)
@@ -165,8 +165,8 @@ def _to_do(plant: SourceTasks, asked: str, known: Mapping[str, Mapping[str, Any]
             yield task
             continue
         inputs = {entry["path"]: entry for entry in row["inputs"] or ()}
-        there = all(plant.listing.get(path) == (entry["size"], entry["stamp"]) for path, entry in inputs.items())
-        if not there or not {file.path for file in task.files} <= inputs.keys():
+        unchanged = all(plant.listing.get(path) == (entry["size"], entry["stamp"]) for path, entry in inputs.items())
+        if not unchanged or not {file.path for file in task.files} <= inputs.keys():
             yield task
 
 

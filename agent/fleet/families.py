@@ -101,11 +101,11 @@ def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Tren
 
 def _tried(column: str, values: Mapping[str, str], joint: str, axles: Sequence[Trend]) -> Iterator[Family]:
     """The machines of every value of a column as a family, with the p-value of the test as level."""
-    here = np.array([values.get(trend.runs.machine, "") for trend in axles], dtype=object)
+    values_of_machines = np.array([values.get(trend.runs.machine, "") for trend in axles], dtype=object)
     changes = np.array([trend.found.drift for trend in axles])
     scores = changes / np.maximum([trend.found.drift_deviation for trend in axles], 1e-300)
-    for value in sorted(set(here) - {""}):
-        inside = here == value
+    for value in sorted(set(values_of_machines) - {""}):
+        inside = values_of_machines == value
         if min(inside.sum(), (~inside).sum()) < FEWEST:
             continue
         members = [trend for trend, chosen in zip(axles, inside, strict=True) if chosen]

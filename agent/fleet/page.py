@@ -150,8 +150,12 @@ def _course(trend: Trend) -> dict[str, Any]:
 
 def _link_base(source: str, page: Store) -> str:
     """The link from the page to the source, to be followed by the path of a file."""
-    there = Store(source).local if source else None
-    if there is None:
+    source_folder = Store(source).local if source else None
+    if source_folder is None:
         return f"{source}/" if source else ""
-    here = page.local
-    return f"{quote(os.path.relpath(there, here))}/" if here is not None else f"{there.absolute().as_uri()}/"
+    page_folder = page.local
+    return (
+        f"{quote(os.path.relpath(source_folder, page_folder))}/"
+        if page_folder is not None
+        else f"{source_folder.absolute().as_uri()}/"
+    )

@@ -106,9 +106,9 @@ def open_rows(url: str, folder: Path) -> ResultRows:
 
 
 def _find_rows(store: Store, folder: Path) -> ResultRows | None:
-    if (there := store.find(ROWS)) is None:
+    if (entry := store.find(ROWS)) is None:
         return None
-    path = store.fetch(there, folder)
+    path = store.fetch(entry, folder)
     try:
         rows = pq.ParquetFile(path)
     except Exception as error:  # of Arrow: any fault of the bytes

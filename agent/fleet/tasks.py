@@ -178,17 +178,17 @@ def find_tasks(store: Store, question: RunQuestion) -> SourceTasks:
 
 def _task(store: Store, question: RunQuestion, folders: Mapping[str, Mapping[str, StoredFile]], folder: str) -> Task:
     """The task of a folder; without logs where it is none."""
-    here = folders[folder]
-    state = here.get(_STATE)
+    files = folders[folder]
+    state = files.get(_STATE)
     patterns = _OF_A_RUN[question.kind] if state is not None else ("*.mcap",)
     # as a shell sorts them, within each pattern
-    logs = tuple(here[name] for pattern in patterns for name in sorted(fnmatch.filter(here, pattern)))
+    logs = tuple(files[name] for pattern in patterns for name in sorted(fnmatch.filter(files, pattern)))
     above = described = None
     if question.robot is None:
         above = _nearest(folders, folder, _ROBOT)
-        described = above or (here.get(RUN_MODEL) if state is not None else None)
+        described = above or (files.get(RUN_MODEL) if state is not None else None)
     model = _nearest(folders, folder, question.wanted_model)
-    page = here[_PAGE].path if _PAGE in here else ""
+    page = files[_PAGE].path if _PAGE in files else ""
     robot = _whose(store, folder, above, state) if logs else ""
     return Task(question, store.url, robot, folder, logs, described, model, state, page)
 

@@ -109,9 +109,12 @@ def run_task(task: Task) -> TaskRow:
             row = {"status": "error", "exit_code": 1, "reason": reason}
         # messages name files as they are called in the source, not where a worker had them
         places = (f"{folder}/source/", f"{folder}/", f"{inputs.store.absolute}/")
-        here = re.compile("|".join(re.escape(path) for path in places))
+        local_path = re.compile("|".join(re.escape(path) for path in places))
         row = {"started": _named_date(task.run), "warnings": [], **row}
-        row |= {"reason": here.sub("", row["reason"]), "warnings": [here.sub("", text) for text in row["warnings"]]}
+        row |= {
+            "reason": local_path.sub("", row["reason"]),
+            "warnings": [local_path.sub("", text) for text in row["warnings"]],
+        }
         size = sum(entry["size"] for entry in inputs.read)
         return TaskRow(row, inputs.read, model, time.process_time() - began, size)
 

@@ -99,11 +99,11 @@ class Learner:
 
     def _away(self, recorded: _Way, planned: _Way, place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Distance (K,) of recorded points from the planned path."""
-        there = recorded.joints(_PARTS)
+        q = recorded.joints(_PARTS)
         # Samples are dense at a corner where the arm stops, and include its tip.
         parts = np.union1d(_FINE, planned.part)
         # The counterpart of a point is searched near the same part of the travel.
-        return _nearest(place(planned.joints(parts)), place(there), np.abs(parts[None] - _PARTS[:, None]) <= _AROUND)
+        return _nearest(place(planned.joints(parts)), place(q), np.abs(parts[None] - _PARTS[:, None]) <= _AROUND)
 
     def learn(self, progress: Callable[[str], None] = lambda text: None) -> FlyParameters:
         """The law that is nearest to the stretches.

@@ -166,25 +166,25 @@ class OrlInterpolator:
         """
         # The library is one for the process, and another interpolator may have set its own period.
         self._set_period()
-        here = np.asarray(start, dtype=float)
-        samples, owners = [here[None]], [np.zeros(1, dtype=int)]
+        position = np.asarray(start, dtype=float)
+        samples, owners = [position[None]], [np.zeros(1, dtype=int)]
         chain: list[tuple[int, Move]] = []
         for index, statement in enumerate(statements):
             if isinstance(statement, Delay):
-                samples.append(np.tile(here, (round(statement.seconds / self.period), 1)))
+                samples.append(np.tile(position, (round(statement.seconds / self.period), 1)))
                 owners.append(np.full(len(samples[-1]), index))
                 continue
             chain.append((index, statement))
             if statement.fly and isinstance([*statements[index + 1 :], None][0], Move):
                 continue
             try:
-                samples.append(self._steps(chain, here))
+                samples.append(self._steps(chain, position))
             except MotionError:
                 # Nothing to cancel is an error to the library, and none to us.
                 self._library.ORL_cancel_motion(*self._arm_identifiers)
                 raise
             owners.append(self._owners(chain, samples[-1]))
-            here, chain = samples[-1][-1], []
+            position, chain = samples[-1][-1], []
         return self._trajectory(np.concatenate(samples), np.concatenate(owners))
 
     def _set_period(self) -> None:

@@ -166,10 +166,10 @@ def validation_logs(run: Path) -> list[Path]:
 
 
 def _check_machine(run: RunFolder, link: RobotLink) -> None:
-    known, here = run.state.get("serial"), link.identity.serial
-    if known and here and known != here:
+    known, serial = run.state.get("serial"), link.identity.serial
+    if known and serial and known != serial:
         raise ControllerError(
-            f"{link.address}: this machine has serial {here}; the motions that {run.path.name} has recorded are of "
+            f"{link.address}: this machine has serial {serial}; the motions that {run.path.name} has recorded are of "
             f"{known}, and one model is of one machine. Connect that one, or start a new run without --resume"
         )
 

@@ -254,20 +254,22 @@ def _unlike(move: Move, wanted: Move) -> str | None:
 def _same_target(first: Target, other: Target) -> bool:
     if type(first) is not type(other) or getattr(first, "configuration", "") != getattr(other, "configuration", ""):
         return False
-    there, here = (np.asarray(getattr(t, "pose", getattr(t, "position", None)), dtype=float) for t in (first, other))
-    return there.shape == here.shape and bool(np.all(np.abs(there - here) <= _SAME))
+    first_values, second_values = (
+        np.asarray(getattr(t, "pose", getattr(t, "position", None)), dtype=float) for t in (first, other)
+    )
+    return first_values.shape == second_values.shape and bool(np.all(np.abs(first_values - second_values) <= _SAME))
 
 
 def _record(job: Job, reference: Reference) -> Recording:
     loop, known, suffix = reference.loop, reference.past.serial, job.recipe.dialect.suffix
     with open_link(job.recipe, job.console, job.yes, job.logs, job.allowed) as link:
-        here = link.identity.serial
-        if known and known != here:
+        serial = link.identity.serial
+        if known and known != serial:
             raise ControllerError(
-                f"{link.address}: this machine has serial {here}; the last accepted model is of {known}, another one "
+                f"{link.address}: this machine has serial {serial}; the last accepted model is of {known}, another one "
                 "of the same type. Calibrate this one first: `agent calibrate`"
             )
-        job.run.note(serial=here)
+        job.run.note(serial=serial)
         if job.allowed is not None and (soon := job.allowed.ends_soon()):
             job.console.warn(soon)
         job.run.write_text(f"program{suffix}", loop.program)

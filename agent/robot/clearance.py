@@ -154,8 +154,8 @@ class ClearanceSearch:
         middle = (u0 + u1) / 2
 
         def half(cumulated: np.ndarray) -> np.ndarray:
-            before, there, after = (_at(cumulated, u) @ self.reach for u in (u0, middle, u1))
-            return np.maximum(there - before, after - there)
+            before, in_middle, after = (_at(cumulated, u) @ self.reach for u in (u0, middle, u1))
+            return np.maximum(in_middle - before, after - in_middle)
 
         along = half(self.travelled)
         if self.stopping is None:

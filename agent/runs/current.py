@@ -143,11 +143,13 @@ def apply_previous(logs: Path, robot: str | None = None, serial: str | None = No
     ]
     if not applied and damaged:
         raise InputError("; ".join(damaged))
-    there = ", ".join(f"{about.robot} {about.serial}".strip() for about in current.values())
+    machines = ", ".join(f"{about.robot} {about.serial}".strip() for about in current.values())
     if not current:
         raise InputError(f"{logs / _FOLDER}: no model was applied yet, so there is none to go back from")
     if not applied:
-        raise InputError(f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {there}")
+        raise InputError(
+            f"{logs / _FOLDER}: no model was applied of {which_machine(robot, serial)}; there is: {machines}"
+        )
     if len(applied) > 1:
         names = ", ".join(f"{about.robot} {about.serial}".strip() for _, about in applied)
         raise InputError(f"several robots have a current model ({names}); say which with --robot and --serial")

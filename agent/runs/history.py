@@ -49,9 +49,9 @@ class History:
 
     def why_none(self, robot: str | None, serial: str | None) -> str:
         """Message for when no run is of this robot and serial."""
-        if not (there := len(self._runs)):
+        if not (count := len(self._runs)):
             return "no runs yet: `agent calibrate RECIPE` makes the first"
-        return f"none of the runs here ({there}) is of {which_machine(robot, serial)}; `agent history` lists them all"
+        return f"none of the runs here ({count}) is of {which_machine(robot, serial)}; `agent history` lists them all"
 
     def parameters(self, runs: Iterable[str] | None = None) -> dict[str, list[PastParameter]]:
         """Parameters by run in the model's order, of all runs or some; a model that cannot be read is `damaged`."""
@@ -69,9 +69,9 @@ class History:
         A run dated in the future counts only if there is no other.
         """
         accepted = [run for run in self.runs(robot) if run.accepted and run.loop == loop]
-        here = [run for run in accepted if run.controller == controller] or accepted
-        here = [run for run in here if not run.in_future(now)] or here
-        return here[-1] if here else None
+        candidates = [run for run in accepted if run.controller == controller] or accepted
+        candidates = [run for run in candidates if not run.in_future(now)] or candidates
+        return candidates[-1] if candidates else None
 
 
 def find_run(logs: Path, name: str) -> Path:

@@ -237,11 +237,11 @@ class Adherence:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mask (K, W) of the path's `points` (W,) that fit positions (K, n), and the speed (K, n) there."""
         speed, interval = self._speed(quantity, allowed.span, time, positions)
-        near, lost = self._near(positions, allowed, points), (interval > GAP)[:, None]
+        fits, lost = self._near(positions, allowed, points), (interval > GAP)[:, None]
         for of_joint, fastest in zip(speed.T, self._fastest(allowed, points).T, strict=True):
             if not of_joint.max() <= fastest.min():
-                near &= (of_joint[:, None] <= fastest) | lost
-        return near, speed
+                fits &= (of_joint[:, None] <= fastest) | lost
+        return fits, speed
 
     def _near(
         self, positions: np.ndarray, allowed: Tolerance, points: np.ndarray, margin: float | None = None
@@ -250,13 +250,13 @@ class Adherence:
         rows = self._path.rows[points]
         tool = self._dynamics.tcp_pose(positions)[:, :3, 3]
         margin = self._margin if margin is None else margin
-        near = self._path.distance(tool, rows) <= margin + allowed.tool
-        for joint, here in enumerate(positions.T):
-            there, within = self._path.q[rows, joint], self._path.reach[rows, joint] + allowed.joint
-            farthest = max(here.max() - there.min(), there.max() - here.min())
+        close = self._path.distance(tool, rows) <= margin + allowed.tool
+        for joint, values in enumerate(positions.T):
+            planned, within = self._path.q[rows, joint], self._path.reach[rows, joint] + allowed.joint
+            farthest = max(values.max() - planned.min(), planned.max() - values.min())
             if not farthest <= within.min():
-                near &= np.abs(here[:, None] - there) <= within
-        return near
+                close &= np.abs(values[:, None] - planned) <= within
+        return close
 
     def _fastest(self, allowed: Tolerance, points: np.ndarray) -> np.ndarray:
         """Highest speed (W, n) at path points."""
@@ -274,18 +274,18 @@ class Adherence:
         points: np.ndarray,
     ) -> str:
         """Why none of the path's `points` fits a position (n,) with a speed (n,)."""
-        near = self._near(position[None], allowed, points)[0]
+        close = self._near(position[None], allowed, points)[0]
         at = f"{time - self._began:.2f} s into the motion"
-        if not near.any():
+        if not close.any():
             row = int(self._path.rows[points[np.argmin(self._path.distances(position, points))]])
             return f"{at} {self._deviation_text(quantity, position, row, allowed)}"
-        limit, fastest = self._robot.max_velocity, self._fastest(allowed, points[near])
+        limit, fastest = self._robot.max_velocity, self._fastest(allowed, points[close])
         best = int(np.argmin(np.max((speed - fastest) / limit, axis=1)))
         joint = int(np.argmax((speed - fastest[best]) / limit))
         name, unit = self._robot.joint_names[joint], self._unit(joint)
         return (
             f"{at} the {quantity} of {name} goes at {speed[joint]:.3g} {unit}/s, no "
-            f"more than {self._path.speed[self._path.rows[points[near][best]], joint]:.3g} was planned around there: "
+            f"more than {self._path.speed[self._path.rows[points[close][best]], joint]:.3g} was planned around there: "
             f"{_LOOK}"
         )
 

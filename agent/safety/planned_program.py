@@ -29,9 +29,9 @@ def standstill_plan(position: np.ndarray) -> Trajectory:
     """The plan of an arm that stays at `position` (n,)."""
     from agent.motion import Trajectory
 
-    there = np.asarray(position, dtype=float)[None]
-    nothing, unknown = np.zeros_like(there), np.full((1, 4, 4), np.nan)
-    return Trajectory(np.zeros(1), there, nothing, nothing, unknown, np.zeros(1), np.zeros(1, dtype=int))
+    q = np.asarray(position, dtype=float)[None]
+    nothing, unknown = np.zeros_like(q), np.full((1, 4, 4), np.nan)
+    return Trajectory(np.zeros(1), q, nothing, nothing, unknown, np.zeros(1), np.zeros(1, dtype=int))
 
 
 def pauses(statements: Iterable[Statement]) -> float:

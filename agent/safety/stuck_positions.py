@@ -62,9 +62,9 @@ class StuckPositions:
         for positions, speeds in (("position", "velocity"), ("reference_position", "reference_velocity")):
             position, speed = self._column(positions), self._column(speeds)
             if position is not None and speed is not None:
-                went = np.ptp(position[since:], axis=0) / self._limits
-                said = np.abs(np.sum(speed[since + 1 :] * steps, axis=0)) / self._limits
-                short = CONTRADICTION_SHARE * (said - NOISE * FREEZE_WINDOW) - went
+                travelled = np.ptp(position[since:], axis=0) / self._limits
+                reported = np.abs(np.sum(speed[since + 1 :] * steps, axis=0)) / self._limits
+                short = CONTRADICTION_SHARE * (reported - NOISE * FREEZE_WINDOW) - travelled
                 if not np.max(short) <= 0.0:
                     return int(np.argmax(short))
         return None

@@ -76,9 +76,9 @@ def torque_scales(model: IdentifiedModel, logs: Sequence[Log]) -> list[TorqueSca
         payload = known_payload(log.metadata)
         loaded = model if payload is None else carrying(model, payload)
         for motion in motions(log, FilterSettings(model.cutoff, model.order)):
-            there = motion.q, motion.qd, motion.qdd
+            states = motion.q, motion.qd, motion.qdd
             assert motion.torque is not None
-            torques = motion.low_pass(np.hstack([loaded.predict(*there) - model.predict(*there), motion.torque]))
+            torques = motion.low_pass(np.hstack([loaded.predict(*states) - model.predict(*states), motion.torque]))
             torques = torques.reshape(len(torques), 2, -1).transpose(0, 2, 1)
             rows = np.concatenate([filtered_columns(model, motion), torques], axis=2)
             rows = at_axle.T @ rows

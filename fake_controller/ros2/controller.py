@@ -89,10 +89,10 @@ class TrajectoryController:
     def moving(self) -> bool:
         """Whether a trajectory is under way that leads anywhere: one that holds the arm is no motion."""
         with self._lock:
-            there = [] if self._new is None else [self._new]
+            messages = [] if self._new is None else [self._new]
             if self._trajectory is not None and self._time < self._trajectory.end:
-                there.append(self._trajectory.message)
-            return any(message.leads_away(self.joints, self.command) for message in there)
+                messages.append(self._trajectory.message)
+            return any(message.leads_away(self.joints, self.command) for message in messages)
 
     def take(self, message: TrajectoryMessage, now: float) -> str:
         """A trajectory by topic: it replaces what runs; why it is refused, or nothing."""
@@ -170,13 +170,13 @@ class TrajectoryController:
     def _hold(self) -> None:
         """One point at the measured position, which is a step of the command back by the lag."""
         self._time = self._last
-        there = self._measured if self._trajectory is not None else self.command
-        message = TrajectoryMessage(self.joints, 0.0, (TrajectoryPoint.of(0.0, there.tolist()),))
+        position = self._measured if self._trajectory is not None else self.command
+        message = TrajectoryMessage(self.joints, 0.0, (TrajectoryPoint.of(0.0, position.tolist()),))
         self._new, self._trajectory = (
             None,
-            SampledTrajectory(message, self.joints, self._last, (there, np.zeros_like(there))),
+            SampledTrajectory(message, self.joints, self._last, (position, np.zeros_like(position))),
         )
-        self.command, self.command_velocity = there.copy(), np.zeros_like(there)
+        self.command, self.command_velocity = position.copy(), np.zeros_like(position)
 
     def _end(self, status: str, code: ErrorCode, text: str) -> None:
         goal, self._goal = self._goal, None

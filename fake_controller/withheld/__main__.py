@@ -80,11 +80,11 @@ def _planned_as(log: Log, other: Log) -> Log:
     Both are aligned from stop to stop, and a stop holds the last set-point. Where the stops differ in number, the plan
     begins with the log and is not aligned again.
     """
-    here, there, set_points = between_stops(log), between_stops(other), other.reference_position
+    stretches, other_stretches, set_points = between_stops(log), between_stops(other), other.reference_position
     assert set_points is not None
     planned = set_points[np.minimum(np.arange(len(log.t)), len(set_points) - 1)]
-    if len(here) == len(there):
-        for (start, _), (first, last) in zip(here, there, strict=True):
+    if len(stretches) == len(other_stretches):
+        for (start, _), (first, last) in zip(stretches, other_stretches, strict=True):
             part = set_points[first:last][: len(planned) - start]
             planned[start : start + len(part)] = part
             planned[start + len(part) :] = set_points[last - 1]

@@ -129,8 +129,8 @@ def record_motions(
     recipe, logs = recipe or link_recipe(robot), []
     controller = build_controller(robot, machine, "fast", effects)
     with closing(open_server("tcp", controller, watchdog=_WATCHDOG)) as server:
-        there = replace(recipe, controller=recipe.controller.model_copy(update={"address": server.address}))
-        with open_link(there, Console(verbosity=-1), True, folder) as link:
+        at_server = replace(recipe, controller=recipe.controller.model_copy(update={"address": server.address}))
+        with open_link(at_server, Console(verbosity=-1), True, folder) as link:
             for name, text in programs.items():
                 log = folder / f"{name}.mcap"
                 log.unlink(missing_ok=True)  # of a check that was stopped in the middle of it

@@ -69,7 +69,7 @@ ALWAYS_NUMBERS: dict[str, dict[str, str]] = {
         "np.diff(time, prepend=self._last) > GAP": "of times that are numbers",
         "interval > GAP": "of times that are numbers",
         "passed.max() <= GAP": "of times that are numbers",
-        "np.abs(here[:, None] - there) <= within": "where the tool's distance is a number",
+        "np.abs(values[:, None] - planned) <= within": "where the tool's distance is a number",
         "farthest <= within.min()": "the same",
         "self._path.stops >= points[0]": "indices",
         "self._path.stops <= points[-1]": "indices",

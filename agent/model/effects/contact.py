@@ -321,11 +321,11 @@ class Windows:
         Another push that overlaps this phase but shares neither end is no repetition.
         """
         edges = np.asarray(self.cycle_starts, dtype=float)
-        here = int(np.searchsorted(edges, push.start + 1e-9)) - 1
-        if len(edges) < 2 or here < 0:
+        cycle = int(np.searchsorted(edges, push.start + 1e-9)) - 1
+        if len(edges) < 2 or cycle < 0:
             return 0.0
         others = [other for other in taken if other.log == self.log and other is not push]
-        late = np.delete(edges, here) - edges[here]
+        late = np.delete(edges, cycle) - edges[cycle]
         places = [push.start + by for by in late if not any(other.only_meets(push, by) for other in others)]
         return max(
             (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
@@ -405,13 +405,13 @@ Free = Sequence[tuple[Windows, np.ndarray]]
 def _beside(push: PushedWindow, taken: Sequence[PushedWindow], windows: Free) -> tuple[float, float]:
     """Gain that is usual or near a push, and the gain that repeats at its phase of another cycle."""
     of_link = [(w, free) for w, free in windows if w.link == push.link]
-    here = [(w, free) for w, free in of_link if w.log == push.log]
-    as_long = min((w.duration for w, _ in here), key=lambda duration: abs(duration - push.duration))
+    of_log = [(w, free) for w, free in of_link if w.log == push.log]
+    as_long = min((w.duration for w, _ in of_log), key=lambda duration: abs(duration - push.duration))
     scale = push.duration / as_long
     usual = _usual(push, of_link)
-    again = scale * max((w.again(push, taken) for w, _ in here if w.duration == as_long), default=0.0)
-    near = scale * max((w.near(push, free) for w, free in here if w.duration == as_long), default=0.0)
-    shortest = [w for w, _ in here if w.duration == _DURATIONS[0]]
+    again = scale * max((w.again(push, taken) for w, _ in of_log if w.duration == as_long), default=0.0)
+    near = scale * max((w.near(push, free) for w, free in of_log if w.duration == as_long), default=0.0)
+    shortest = [w for w, _ in of_log if w.duration == _DURATIONS[0]]
     return max(usual, near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0)), again
 
 

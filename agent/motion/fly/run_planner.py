@@ -143,11 +143,11 @@ class RunPlanner:
     def _check_care(self, path: Path, segments: Sequence[Segment]) -> None:
         """What $CNFG_CARE, $TURN_CARE and $SING_CARE ask for."""
         for segment in segments:
-            here = np.flatnonzero(path.move == segment.move)
-            if len(here) == 0:
+            samples = np.flatnonzero(path.move == segment.move)
+            if len(samples) == 0:
                 continue
             wanted = segment.configuration if isinstance(segment, CartesianSegment) else ""
-            configuration = segment.kinematics.configuration_text(path.q[here[-1]]) if wanted else ""
+            configuration = segment.kinematics.configuration_text(path.q[samples[-1]]) if wanted else ""
             if configuration:
                 care, asked, has = segment.settings, parse_configuration(wanted), parse_configuration(configuration)
                 turned = care.turn_care and asked.turns != has.turns
@@ -160,7 +160,7 @@ class RunPlanner:
                         1.0,
                     )
             if segment.settings.singularity_care and not isinstance(segment, JointSegment):
-                distance = float(segment.kinematics.singularity(path.q[here]).min())
+                distance = float(segment.kinematics.singularity(path.q[samples]).min())
                 if distance < _SING_CARE:
                     raise MotionError(
                         f"{segment.label}: the path comes within {distance:.3g} of a singularity and $SING_CARE allows "

@@ -107,11 +107,11 @@ def check_preamble(lines: list[ScriptLine], path: str) -> None:
 
     def take(text: str) -> bool:
         nonlocal at
-        there = (
+        matches = (
             at < len(lines) and lines[at].word == "do" and ast.dump(parsed(lines[at].text)) == ast.dump(parsed(text))
         )
-        at += there
-        return there
+        at += matches
+        return matches
 
     number = _literal(lines[0], _REGISTER, 1) if lines else None
     begun = isinstance(number, int) and 0 < number < 2**31 and take(f"{_REGISTER}(25, {number})")

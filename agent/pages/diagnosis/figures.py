@@ -28,9 +28,9 @@ def regime_map(diagnosis: Diagnosis) -> Table:
         by_regime = masks(dataset, joint)
         relative = (diagnosis.gap.error_before[:, joint] / dataset.fit.sigma[:, joint]) ** 2
         for column, regime in enumerate(REGIMES):
-            here = by_regime[regime] & np.isfinite(relative)
-            if here.any():
-                values[joint, column] = np.sqrt(np.mean(relative[here]))
+            mask = by_regime[regime] & np.isfinite(relative)
+            if mask.any():
+                values[joint, column] = np.sqrt(np.mean(relative[mask]))
     caption = "Error by joint (rows) and regime (columns), in units of the model's held-out error. About 1 is normal."
     return shaded_table("regimes", caption, values, REGIMES, dataset.robot.joint_names)
 
@@ -83,9 +83,9 @@ def remainder(diagnosis: Diagnosis) -> Plot | None:
     number = np.clip(np.searchsorted(edges, over) - 1, 0, _BINS - 1)
     series = []
     for words, direction, colour in (("moving up", speed > 0, SERIES[0]), ("moving down", speed < 0, SERIES[1])):
-        here = direction & np.isfinite(error)
-        count = np.bincount(number[here], minlength=_BINS)
-        mean = np.bincount(number[here], error[here], _BINS) / np.where(count, count, np.nan)
+        mask = direction & np.isfinite(error)
+        count = np.bincount(number[mask], minlength=_BINS)
+        mean = np.bincount(number[mask], error[mask], _BINS) / np.where(count, count, np.nan)
         series.append(Series(words, mean, colour=colour))
     panel = Panel(entry.joint, torque_units(dataset.robot)[joint], series, 0.5 * (edges[1:] + edges[:-1]))
     caption = f"What remains on {entry.joint}: mean torque error over its {name}, by direction of motion."
@@ -99,15 +99,15 @@ def timeline(diagnosis: Diagnosis) -> Plot:
     order = [names.index(entry["joint"]) for entry in diagnosis.result["where"]]
     panels = []
     for number, log in enumerate(dataset.logs[:_MOST_LOGS]):
-        here = np.flatnonzero(dataset.log == number)
+        rows_of_log = np.flatnonzero(dataset.log == number)
         for joint in order[:_MOST_JOINTS]:
             series = (
-                Series("model alone", diagnosis.gap.error_before[here, joint], colour=SERIES[1]),
-                Series("with the effects", diagnosis.gap.error_after[here, joint], colour=SERIES[0]),
+                Series("model alone", diagnosis.gap.error_before[rows_of_log, joint], colour=SERIES[1]),
+                Series("with the effects", diagnosis.gap.error_after[rows_of_log, joint], colour=SERIES[0]),
             )
             title = f"{names[joint]}, {log_title(log)}"
             unit = torque_units(dataset.robot)[joint]
-            panels.append(Panel(title, unit, series, dataset.time[here], joint=names[joint]))
+            panels.append(Panel(title, unit, series, dataset.time[rows_of_log], joint=names[joint]))
     caption = "Torque error over time, held out: each joint's, the one with most of the gap first."
     return Plot("timeline", caption, "time", tuple(panels), x_unit="s", columns=2)
 

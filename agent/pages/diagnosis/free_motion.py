@@ -65,8 +65,8 @@ def motion_section(diagnosis: Diagnosis, result: Mapping[str, Any]) -> Section |
 def _motions(diagnosis: Diagnosis) -> Plot:
     """Positions of each joint in the last log: measured, as given, and corrected."""
     dataset, names = diagnosis.dataset, diagnosis.dataset.robot.joint_names
-    here = np.flatnonzero(dataset.log == dataset.log.max())
-    time = dataset.time[here]
+    rows_of_log = np.flatnonzero(dataset.log == dataset.log.max())
+    time = dataset.time[rows_of_log]
     log = dataset.logs[int(dataset.log.max())]
     panels = []
     for k, name in enumerate(names):
@@ -75,9 +75,9 @@ def _motions(diagnosis: Diagnosis) -> Plot:
         measured = np.interp(time, log.t, log.position[:, k])
         series = (
             Series("measured", scale * measured, colour=SERIES[2]),
-            Series("as given", scale * (measured - dataset.residual[here, k]), "dashed", SERIES[1]),
+            Series("as given", scale * (measured - dataset.residual[rows_of_log, k]), "dashed", SERIES[1]),
             Series(
-                "corrected", scale * (measured - diagnosis.gap.error_after[here, k]), colour=SERIES[0], dash=DASHES[2]
+                "corrected", scale * (measured - diagnosis.gap.error_after[rows_of_log, k]), colour=SERIES[0], dash=DASHES[2]
             ),
         )
         panels.append(Panel(name, unit, series, time, joint=name))

@@ -90,25 +90,26 @@ def check_next(recipe: Path, folder: Path | None, load: str | None = None) -> No
     Candidates(loop_problem(loaded, loaded.motion.speed))
 
 
-def check_arm(recipe: Recipe, there: RobotDescription) -> None:
+def check_arm(recipe: Recipe, of_logs: RobotDescription) -> None:
     """Refuse a recipe whose robot is not that of the logs.
 
     Raises:
         InputError: other joints, or another geometry.
     """
-    here = recipe.robot
-    if here.joint_names != there.joint_names:
+    of_recipe = recipe.robot
+    if of_recipe.joint_names != of_logs.joint_names:
         raise InputError(
-            f"{recipe.path}: its robot has joints {', '.join(here.joint_names)}; the logs are of one with "
-            f"{', '.join(there.joint_names)}. Name a recipe of that robot with --next"
+            f"{recipe.path}: its robot has joints {', '.join(of_recipe.joint_names)}; the logs are of one with "
+            f"{', '.join(of_logs.joint_names)}. Name a recipe of that robot with --next"
         )
-    postures = np.random.default_rng(0).uniform(-1.0, 1.0, (20, here.dof))
-    ends = [kinematics_for(robot).forward(postures)[:, :3, 3] for robot in (here, there)]
+    postures = np.random.default_rng(0).uniform(-1.0, 1.0, (20, of_recipe.dof))
+    ends = [kinematics_for(robot).forward(postures)[:, :3, 3] for robot in (of_recipe, of_logs)]
     apart = float(np.linalg.norm(ends[0] - ends[1], axis=1).max())
-    if apart > (_SAME_NAME if here.name == there.name else _SAME_ARM) * float(np.linalg.norm(ends[1], axis=1).max()):
+    allowed = _SAME_NAME if of_recipe.name == of_logs.name else _SAME_ARM
+    if apart > allowed * float(np.linalg.norm(ends[1], axis=1).max()):
         raise InputError(
-            f"{recipe.path}: is for {here.name}, but the logs are of {there.name}. In the same posture, their ends "
-            f"are {1e3 * apart:.0f} mm apart. Name a recipe of that robot with --next"
+            f"{recipe.path}: is for {of_recipe.name}, but the logs are of {of_logs.name}. In the same posture, their "
+            f"ends are {1e3 * apart:.0f} mm apart. Name a recipe of that robot with --next"
         )
 
 
@@ -135,11 +136,11 @@ def check_folder(folder: Path) -> None:
     Raises:
         InputError: as said; AgentError where nothing can be written.
     """
-    there = next(dialect for dialect in (folder, *folder.absolute().parents) if dialect.exists())
-    if not there.is_dir():
-        raise InputError(f"{there}: is a file; name a folder for the experiment with -o")
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise AgentError(f"{there}: nothing can be written there; name another folder for the experiment with -o")
+    existing = next(dialect for dialect in (folder, *folder.absolute().parents) if dialect.exists())
+    if not existing.is_dir():
+        raise InputError(f"{existing}: is a file; name a folder for the experiment with -o")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise AgentError(f"{existing}: nothing can be written there; name another folder for the experiment with -o")
     programs = {f"program{dialect.suffix}": "a program" for dialect in dialects()}
     for name, what in {"experiment.json": "an experiment", **programs}.items():
         if (folder / name).exists():

@@ -58,14 +58,14 @@ def bag_files(folder: Path) -> list[Path]:
     for name in names:
         file = folder / Path(str(name)).name  # older bags name them with their folder
         # some recorders name files as they were before compression, some people unpack them
-        there = [
+        present = [
             candidate
             for candidate in (file, file.with_name(f"{file.name}.zstd"), file.with_suffix(""))
             if candidate.is_file()
         ]
-        if not there:
+        if not present:
             raise InputError(f"{file}: is missing, although {path} names it")
-        files.append(there[0])
+        files.append(present[0])
     return files
 
 

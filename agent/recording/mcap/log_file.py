@@ -333,13 +333,13 @@ class _KeptFile:
                 replaced or truncated it, or its file system is gone. The system says nothing of that when it writes.
         """
         try:
-            here, there = os.fstat(self._file.fileno()), os.stat(self._path)
+            opened, on_disk = os.fstat(self._file.fileno()), os.stat(self._path)
         except OSError as error:
             raise self._lost(error.strerror or str(error)) from None
-        if (here.st_dev, here.st_ino) != (there.st_dev, there.st_ino):
+        if (opened.st_dev, opened.st_ino) != (on_disk.st_dev, on_disk.st_ino):
             raise self._lost("another file is in its place")
-        if here.st_size != self._end:
-            raise self._lost(f"it has {here.st_size} bytes, and {self._end} were written")
+        if opened.st_size != self._end:
+            raise self._lost(f"it has {opened.st_size} bytes, and {self._end} were written")
 
     def close(self) -> None:
         with suppress(RecordingError):  # it was raised before, or is about to be

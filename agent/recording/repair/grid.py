@@ -100,19 +100,19 @@ def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np
     for _ in range(_ROUNDS):
         for hole in np.flatnonzero(np.diff(number) > 1).tolist():
             first, stop = max(hole - _AROUND, 0), min(hole + _AROUND + 2, len(number))
-            rows, stamps, here, before = scaled[first:stop], periods[first:stop], hole - first, number[first:stop]
+            rows, stamps, row, before = scaled[first:stop], periods[first:stop], hole - first, number[first:stop]
             if (hole, before.tobytes()) in tried:
                 continue  # as it was in the round before, which left it so
-            trials = _moved(before, here)
+            trials = _moved(before, row)
             if not len(trials):
                 continue
             costs = _costs(trials, rows, stamps, spread)
             if costs.min() > _ROUGH * rows.size:
-                further = [_moved(before, here, _FAR)]
+                further = [_moved(before, row, _FAR)]
                 for other in np.flatnonzero(np.diff(before) > 1).tolist():
-                    if other != here:
+                    if other != row:
                         further.append(_moved(before, other, _FAR))
-                        further += [_moved(trial, here) for trial in _moved(before, other)]
+                        further += [_moved(trial, row) for trial in _moved(before, other)]
                 trials = np.concatenate([trials, *further])
                 costs = np.append(costs, _costs(trials[len(costs) :], rows, stamps, spread))
             best = trials[int(np.argmin(costs))]

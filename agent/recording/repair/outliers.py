@@ -102,5 +102,5 @@ def _trusted_again(time: np.ndarray, position: np.ndarray, fastest: np.ndarray, 
     """First sample after a jump where the arm can have come to since sample `before`; the next one if it stays away."""
     later = np.arange(before + 2, min(before + 2 + _TORN, len(time)))
     limit = fastest * ((time[later] - time[before])[:, None] + 2 * _LATE)
-    there = later[np.all(np.abs(position[later] - position[before]) <= limit, axis=1)]
-    return int(there[0]) if len(there) else before + 1
+    within_limit = later[np.all(np.abs(position[later] - position[before]) <= limit, axis=1)]
+    return int(within_limit[0]) if len(within_limit) else before + 1

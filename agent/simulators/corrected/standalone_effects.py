@@ -189,9 +189,9 @@ class Effects:
         matrix = empty + np.eye(len(JOINTS)) if mass is None else np.asarray(mass)
         falls = empty[..., j] if slope is None else np.asarray(slope)[..., :, j]
         inertia, k, half = np.maximum(matrix[..., j, j], 1e-9), p["stiffness"], 0.5 * p.get("gap", 0.0)
-        here, fallen = load[..., j], np.clip(falls[..., j], -0.5 * k, 0.5 * k)
-        twist = state.get("twist", here / k + np.sign(here) * half)
-        momentum = before = state.get("momentum", np.zeros_like(here))
+        torque, fallen = load[..., j], np.clip(falls[..., j], -0.5 * k, 0.5 * k)
+        twist = state.get("twist", torque / k + np.sign(torque) * half)
+        momentum = before = state.get("momentum", np.zeros_like(torque))
         state["steps"] = state.get("steps", 0) + 1
         steps = max(2, int(np.ceil(1500.0 * self.dt)))
         h = self.dt / steps
@@ -200,7 +200,7 @@ class Effects:
         for _ in range(steps):
             beyond = twist - np.clip(twist, -half, half)
             decay = np.where((beyond != 0) | (half == 0), kept_touching, 1.0)
-            momentum = decay * momentum + h * here - h * fallen * twist - h * k * beyond
+            momentum = decay * momentum + h * torque - h * fallen * twist - h * k * beyond
             twist = twist + h * momentum / inertia
         speed = momentum / inertia
         second = (speed - state.get("speed", np.zeros_like(speed))) / self.dt

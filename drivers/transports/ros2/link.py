@@ -212,13 +212,13 @@ class RosLink(LinkThread):
         """
         began = time.monotonic()
         until = 2 * OBSERVED + self.watchdog  # of a clock at half speed as well
-        there = self.wait(lambda: self.believed.at > began and self._span() >= 0.9 * OBSERVED, until)
+        observed = self.wait(lambda: self.believed.at > began and self._span() >= 0.9 * OBSERVED, until)
         self.check()
         with self._changed:
             stamps = np.array(self._seen)
         if self.doubt:
             raise DriverError(self.doubt)
-        if not there:
+        if not observed:
             topic = self.target.name(JOINT_STATES)
             if not self.believed.at > began:
                 raise DriverError(f"{topic} has fallen silent; is the joint_state_broadcaster still active?")

@@ -290,8 +290,8 @@ class Ros2Motion(SampleStream):
         """Wait for the result, or without one for an arm that stands at the end."""
         course = self.course
         assert course is not None
-        there = not self._by_goal and self._stands() and np.all(np.abs(sample.position - course.last) <= START)
-        if there or self._result is not None:
+        arrived = not self._by_goal and self._stands() and np.all(np.abs(sample.position - course.last) <= START)
+        if arrived or self._result is not None:
             return self._go_on(sample)
         if sample.stamp - course.end > _SETTLES:
             self.brake(
