@@ -325,7 +325,7 @@ class Controller(FaultyController):
             return
         if "clock_back" in self._lies:
             time_ns = time_ns - round(1e9 * self._lies["clock_back"].amount)
-        samples = self._told(samples)
+        samples = self._reported(samples)
         if "columns" in self._lies:
             samples = Slice(*(column[:, :-1] for column in samples.columns))
         listener.on_samples(first, time_ns, samples)

@@ -248,7 +248,7 @@ class FaultyController:
             self._slowness = fault.amount if fault.name == "slow" else self._slowness
             self._apply_fault(fault)
 
-    def _told(self, samples: Any) -> Any:
+    def _reported(self, samples: Any) -> Any:
         """Samples (`fake_controller.execution.Slice`) as they are reported."""
         if "frozen" in self._lies:
             if self._frozen is None:

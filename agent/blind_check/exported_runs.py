@@ -58,13 +58,13 @@ def export_runs(
         No runs, a key inside the folder, a folder with other files, or a key of another draw.
     """
     console, engine = console or Console(verbosity=-1), engine or InProcess()
-    key = _begun(world, folder, key_file, count, seed)
+    key = _stored_or_drawn(world, folder, key_file, count, seed)
     staging = key_file.with_name(f"{key_file.name}.parts")
     staging.mkdir(0o700, parents=True, exist_ok=True)
     lock = os.open(staging, os.O_RDONLY)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        key = _filled(key, world, staging, folder, key_file, console, engine)
+        key = _fill(key, world, staging, folder, key_file, console, engine)
     except BlockingIOError:
         raise InputError(f"{key_file}: another export is recording these runs; wait for it") from None
     finally:
@@ -73,7 +73,7 @@ def export_runs(
     return key
 
 
-def _filled(
+def _fill(
     key: Key, world: World, staging: Path, folder: Path, key_file: Path, console: Console, engine: TaskEngine
 ) -> Key:
     """Record what is missing, publish all runs, and save the key with them."""
@@ -109,7 +109,7 @@ def _filled(
     return key
 
 
-def _begun(world: World, folder: Path, key_file: Path, count: int, seed: int | None) -> Key:
+def _stored_or_drawn(world: World, folder: Path, key_file: Path, count: int, seed: int | None) -> Key:
     """The draw of a key that is there, or a fresh one, which is saved at once.
 
     Raises:

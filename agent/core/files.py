@@ -65,14 +65,14 @@ def swept_folder(prefix: str) -> Iterator[Path]:
     for old in top.glob(f"{prefix}*"):
         with contextlib.suppress(OSError):  # in use, or somebody else's
             if time.time() - old.stat().st_mtime > _YOUNG:
-                with _held(old):
+                with _locked_folder(old):
                     shutil.rmtree(old)
-    with tempfile.TemporaryDirectory(prefix=prefix, dir=top) as name, _held(Path(name)):
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=top) as name, _locked_folder(Path(name)):
         yield Path(name)
 
 
 @contextmanager
-def _held(folder: Path) -> Iterator[None]:
+def _locked_folder(folder: Path) -> Iterator[None]:
     """Lock a file exclusively, or raise OSError; the system releases it when the process ends."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:

@@ -82,7 +82,7 @@ def refit(model: IdentifiedModel, logs: Sequence[Log], parameters: str = "fricti
         covariance=_covariance(problem, fit, model),
         condition_number=model.condition_number,
         effects=model.effects,
-        prior=_held(model.prior, fresh.prior, len(model.independent)),
+        prior=_mixed_prior(model.prior, fresh.prior, len(model.independent)),
         notes=notes,
     )
     return _judged(problem, fit, fresh, model)
@@ -116,7 +116,7 @@ def _friction(problem: Problem, model: IdentifiedModel) -> Estimate:
     return replace(problem.estimate(weights, solver=solver), standard=model.standard)
 
 
-def _held(before: ParameterPrior | None, fresh: ParameterPrior | None, base: int) -> ParameterPrior | None:
+def _mixed_prior(before: ParameterPrior | None, fresh: ParameterPrior | None, base: int) -> ParameterPrior | None:
     """The prior of friction, and that of base parameters which are those of the model before."""
     if before is None or fresh is None:
         return None

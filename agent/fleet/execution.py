@@ -88,7 +88,7 @@ def run_fleet(
         AgentError: the result cannot be written, or the workers are gone; what is done is kept.
     """
     began = time.monotonic()
-    with _alone(out), open_result(out, question.kind, source) as result:
+    with _only_run(out), open_result(out, question.kind, source) as result:
         console.step(f"looking for runs in {source}")
         plant = find_tasks(Store(source), question)
         known = result.known()
@@ -171,7 +171,7 @@ def _to_do(plant: SourceTasks, asked: str, known: Mapping[str, Mapping[str, Any]
 
 
 @contextlib.contextmanager
-def _alone(out: str) -> Iterator[None]:
+def _only_run(out: str) -> Iterator[None]:
     """Only one run of this machine writes a result at a time."""
     try:
         with robot_lock("fleet", os.path.realpath(local) if (local := Store(out).local) else out):

@@ -89,7 +89,7 @@ def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Tren
         family
         for joint in sorted({trend.joint for trend in axles})
         for column, values in columns.items()
-        for family in _tried(column, values, joint, [trend for trend in axles if trend.joint == joint])
+        for family in _families_of(column, values, joint, [trend for trend in axles if trend.joint == joint])
     ]
     levels = false_discovery_control([family.level for family in tried]).tolist() if tried else []
     families = [replace(family, level=level) for family, level in zip(tried, levels, strict=True)]
@@ -99,7 +99,7 @@ def find_families(columns: Mapping[str, Mapping[str, str]], axles: Sequence[Tren
     return sorted(practical, key=lambda family: family.level)
 
 
-def _tried(column: str, values: Mapping[str, str], joint: str, axles: Sequence[Trend]) -> Iterator[Family]:
+def _families_of(column: str, values: Mapping[str, str], joint: str, axles: Sequence[Trend]) -> Iterator[Family]:
     """The machines of every value of a column as a family, with the p-value of the test as level."""
     values_of_machines = np.array([values.get(trend.runs.machine, "") for trend in axles], dtype=object)
     changes = np.array([trend.found.drift for trend in axles])

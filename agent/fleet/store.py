@@ -76,7 +76,7 @@ class Store:
             StoreError: the store does not answer.
         """
         self._fs.invalidate_cache()
-        with self._told("listed"):
+        with self._store_errors("listed"):
             details = self._fs.find(self._root, detail=True)
             if not details and not self._fs.isdir(self._root):
                 raise InputError(f"{self.url}: no such folder, or nothing in it")
@@ -87,7 +87,7 @@ class Store:
 
     def find(self, path: str) -> StoredFile | None:
         """One file, where there is one."""
-        with contextlib.suppress(FileNotFoundError), self._told("found", path):
+        with contextlib.suppress(FileNotFoundError), self._store_errors("found", path):
             entry = self._fs.info(f"{self._root}/{path}")
             return StoredFile(path, int(entry["size"] or 0), _stamp(entry))
         return None
@@ -102,7 +102,7 @@ class Store:
             return self.local / file.path
         path = folder / file.path
         path.parent.mkdir(parents=True, exist_ok=True)
-        with self._told("fetched", file.path):
+        with self._store_errors("fetched", file.path):
             self._fs.get_file(f"{self._root}/{file.path}", str(path))
             if path.stat().st_size != file.size:
                 raise OSError(f"{path.stat().st_size} of {file.size} bytes came")
@@ -115,7 +115,7 @@ class Store:
             FileNotFoundError: there is none.
             StoreError: the store does not give it.
         """
-        with self._told("read", path):
+        with self._store_errors("read", path):
             content: bytes = self._fs.cat_file(f"{self._root}/{path}")
         return content
 
@@ -129,7 +129,7 @@ class Store:
         if self.local is not None:
             _put_local(Path(full), content)
             return
-        with self._told("written", path):
+        with self._store_errors("written", path):
             if isinstance(content, bytes):
                 self._fs.pipe_file(full, content)
             else:
@@ -139,7 +139,7 @@ class Store:
         """Sorted names of the files in a folder; none if there is no such folder."""
         self._fs.invalidate_cache()
         try:
-            with self._told("listed", folder):
+            with self._store_errors("listed", folder):
                 paths = self._fs.ls(f"{self._root}/{folder}", detail=False)
         except FileNotFoundError:
             return []
@@ -147,11 +147,11 @@ class Store:
 
     def remove(self, path: str) -> None:
         """Delete a file, if it is there."""
-        with contextlib.suppress(FileNotFoundError), self._told("removed", path):
+        with contextlib.suppress(FileNotFoundError), self._store_errors("removed", path):
             self._fs.rm_file(f"{self._root}/{path}")
 
     @contextlib.contextmanager
-    def _told(self, what: str, path: str = "") -> Iterator[None]:
+    def _store_errors(self, what: str, path: str = "") -> Iterator[None]:
         """Raise what the store raises as an error that says what could not be done with which file."""
         where = f"{self.url}/{path}".rstrip("/") + f": cannot be {what}"
         try:

@@ -189,11 +189,11 @@ def _task(store: Store, question: RunQuestion, folders: Mapping[str, Mapping[str
         described = above or (files.get(RUN_MODEL) if state is not None else None)
     model = _nearest(folders, folder, question.wanted_model)
     page = files[_PAGE].path if _PAGE in files else ""
-    robot = _whose(store, folder, above, state) if logs else ""
+    robot = _machine_of(store, folder, above, state) if logs else ""
     return Task(question, store.url, robot, folder, logs, described, model, state, page)
 
 
-def _whose(store: Store, folder: str, described: StoredFile | None, state: StoredFile | None) -> str:
+def _machine_of(store: Store, folder: str, described: StoredFile | None, state: StoredFile | None) -> str:
     if described is not None and described.folder != ".":
         return described.folder
     parent = str(PurePosixPath(folder).parent)

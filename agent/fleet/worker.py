@@ -128,7 +128,7 @@ def _work(task: Task, inputs: _Inputs) -> tuple[dict[str, Any], bytes]:
     logs = [inputs.fetch(file) for file in task.logs]
     state = inputs.optional(task.state)
     row, content = answer(task.question, robot, model, logs)
-    return row | {"status": "ok", "exit_code": 0, "reason": ""} | _when(task, state, logs), content
+    return row | {"status": "ok", "exit_code": 0, "reason": ""} | _date_and_machine(task, state, logs), content
 
 
 def _robot(task: Task, inputs: _Inputs) -> str | RobotDescription | None:
@@ -137,7 +137,7 @@ def _robot(task: Task, inputs: _Inputs) -> str | RobotDescription | None:
     if task.question.robot is not None:
         return task.question.robot
     if task.description is None:
-        name = _told(inputs.optional(task.state)).get("robot")
+        name = _read_state(inputs.optional(task.state)).get("robot")
         return name if name in builtin_robots() else None
     path = inputs.fetch(task.description)
     if path.name == RUN_MODEL:
@@ -238,7 +238,7 @@ def _diagnose(question: RunQuestion, robot: Any, model: Path | None, logs: list[
     }
 
 
-def _told(state: Path | None) -> dict[str, Any]:
+def _read_state(state: Path | None) -> dict[str, Any]:
     """The state of a run; empty where there is none, or it is damaged."""
     if state is not None:
         with contextlib.suppress(InputError):
@@ -247,9 +247,9 @@ def _told(state: Path | None) -> dict[str, Any]:
     return {}
 
 
-def _when(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
+def _date_and_machine(task: Task, state: Path | None, logs: list[Path]) -> dict[str, Any]:
     """Date of the run (from its state, its first log or its name), and serial and tool (from its first log)."""
-    stamp, log, started = _told(state).get("started"), read_log(logs[0]), None
+    stamp, log, started = _read_state(state).get("started"), read_log(logs[0]), None
     with contextlib.suppress(ValueError, OverflowError):  # no such day
         if isinstance(stamp, str):
             started = datetime.fromisoformat(stamp)

@@ -87,18 +87,18 @@ class FrictionTerm:
             return "-"
         power = FORMS[self.form][1]
         exponent = "²" if power == 2 else ""
-        force, length = ("N" if prismatic else "N·m"), _way(prismatic)
+        force, length = ("N" if prismatic else "N·m"), _length_unit(prismatic)
         return force if power == 0 else f"{force}·s{exponent}/{length}{exponent}"
 
     def meaning(self, joint: str, prismatic: bool) -> str:
         """In words."""
-        unit = _way(prismatic)
+        unit = _length_unit(prismatic)
         details = [self.reversal.text(unit)] if self.reversal else []
         details += [f"fading over {self.fading:.3g} {unit}/s"] if self.fading else []
         return f"{self.form.replace('_', ' ')} friction of {joint}" + (f" ({', '.join(details)})" if details else "")
 
 
-def _way(prismatic: bool) -> str:
+def _length_unit(prismatic: bool) -> str:
     return "m" if prismatic else "rad"
 
 

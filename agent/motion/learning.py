@@ -61,7 +61,7 @@ class Learner:
     def __init__(self, robot: RobotDescription, stretches: Sequence[RecordedMove], period: float):
         self._robot, self._period = robot, period
         self._forward = kinematics_for(robot).forward
-        self._all = [(stretch, _Way.of(stretch.t, stretch.q)) for stretch in stretches]
+        self._all = [(stretch, _JointPath.of(stretch.t, stretch.q)) for stretch in stretches]
         # A lone move from stop to stop adds nothing where others fly; it still counts in the errors.
         self._taught = [pair for pair in self._all if any(move.fly for move in pair[0].moves)] or self._all
 
@@ -73,7 +73,7 @@ class Learner:
         """
         errors = []
         for recorded, planned in self._pairs(parameters, self._all):
-            away = self._away(recorded, planned, lambda q: self._forward(q)[:, :3, 3])
+            away = self._distances(recorded, planned, lambda q: self._forward(q)[:, :3, 3])
             duration = float(recorded.t[-1] - recorded.t[0])
             errors.append((1e3 * away.max(), 100.0 * np.max(np.abs(_late(recorded, planned))) / duration))
         path, time = np.max(errors, axis=0)
@@ -81,7 +81,7 @@ class Learner:
 
     def _off_path(self, parameters: FlyParameters) -> float:
         """Root mean square distance from the planned path, in joints [rad]: of the tool's turn too."""
-        away = [self._away(*pair, lambda q: q) for pair in self._pairs(parameters, self._taught)]
+        away = [self._distances(*pair, lambda q: q) for pair in self._pairs(parameters, self._taught)]
         return float(np.sqrt(np.mean(np.square(away))))
 
     def _off_time(self, parameters: FlyParameters) -> float:
@@ -90,20 +90,24 @@ class Learner:
         return float(np.sqrt(np.mean(np.square(late))))
 
     def _pairs(
-        self, parameters: FlyParameters, stretches: Sequence[tuple[RecordedMove, _Way]]
-    ) -> Iterator[tuple[_Way, _Way]]:
+        self, parameters: FlyParameters, stretches: Sequence[tuple[RecordedMove, _JointPath]]
+    ) -> Iterator[tuple[_JointPath, _JointPath]]:
         interpolator = FlyInterpolator(self._robot, period=self._period, parameters=parameters)
         for stretch, recorded in stretches:
             planned = interpolator.plan(stretch.moves, stretch.q[0])
-            yield recorded, _Way.of(planned.t, planned.q)
+            yield recorded, _JointPath.of(planned.t, planned.q)
 
-    def _away(self, recorded: _Way, planned: _Way, place: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    def _distances(
+        self, recorded: _JointPath, planned: _JointPath, points_of: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
         """Distance (K,) of recorded points from the planned path."""
         q = recorded.joints(_PARTS)
         # Samples are dense at a corner where the arm stops, and include its tip.
         parts = np.union1d(_FINE, planned.part)
         # The counterpart of a point is searched near the same part of the travel.
-        return _nearest(place(planned.joints(parts)), place(q), np.abs(parts[None] - _PARTS[:, None]) <= _AROUND)
+        return _nearest(
+            points_of(planned.joints(parts)), points_of(q), np.abs(parts[None] - _PARTS[:, None]) <= _AROUND
+        )
 
     def learn(self, progress: Callable[[str], None] = lambda text: None) -> FlyParameters:
         """The law that is nearest to the stretches.
@@ -200,7 +204,7 @@ def _fitted(
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class _JointPath:
     """Times (S,) and joints (S, n) by the part (S,) of the joint travel that is done."""
 
     t: np.ndarray
@@ -208,7 +212,7 @@ class _Way:
     part: np.ndarray
 
     @classmethod
-    def of(cls, t: np.ndarray, q: np.ndarray) -> _Way:
+    def of(cls, t: np.ndarray, q: np.ndarray) -> _JointPath:
         travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))))
         return cls(t, q, travelled / max(travelled[-1], 1e-12))
 
@@ -219,7 +223,7 @@ class _Way:
         return np.interp(part, self.part, self.t)
 
 
-def _late(recorded: _Way, planned: _Way) -> np.ndarray:
+def _late(recorded: _JointPath, planned: _JointPath) -> np.ndarray:
     """Delay (K,) [s] of the planned motion at the same points, counted from the first of them."""
     late = planned.times(_PARTS) - recorded.times(_PARTS)
     return late - late[0]

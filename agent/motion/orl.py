@@ -275,11 +275,11 @@ class OrlInterpolator:
             raise _refusal(index, f"the library refuses the move: {refused}") from None
 
     def _check_arrival(self, index: int, move: Move, q: np.ndarray) -> None:
-        if (away := float(self._away(move, q[None])[0])) > _ARRIVED:
+        if (away := float(self._distances(move, q[None])[0])) > _ARRIVED:
             far = f"{np.degrees(away):.3g} degrees" if isinstance(move.target, JointTarget) else f"{1e3 * away:.3g} mm"
             raise _refusal(index, f"the library ended {far} from the target: another arm or other frames?")
 
-    def _away(self, move: Move, q: np.ndarray) -> np.ndarray:
+    def _distances(self, move: Move, q: np.ndarray) -> np.ndarray:
         """Distance (N,) [rad or m] of joint positions (N, n) from the move's target."""
         if isinstance(move.target, JointTarget):
             return np.asarray(np.abs(q - move.target.position).max(axis=1))
@@ -292,7 +292,7 @@ class OrlInterpolator:
         owner = np.full(len(q), chain[-1][0])
         begin = 0
         for index, move in chain[:-1]:
-            end = begin + int(np.argmin(self._away(move, q[begin:]))) + 1
+            end = begin + int(np.argmin(self._distances(move, q[begin:]))) + 1
             owner[begin:end] = index
             begin = min(end, len(q) - 1)
         return owner

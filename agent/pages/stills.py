@@ -75,7 +75,9 @@ def _picture(plot: Plot, panel: Panel, wide: float, high: float) -> dict[str, An
     paths, places = [], across(x[chosen])
     for series, (lower, upper) in outlines:
         filled_in = series.look == "part" or series.low is not None
-        path = _area(places, up(lower), up(upper)) if filled_in else _way(places, up(upper), series.look == "points")
+        path = (
+            _area(places, up(lower), up(upper)) if filled_in else _line_path(places, up(upper), series.look == "points")
+        )
         paths.append((series, path))
     return {"panel": panel, "across": across, "up": up, "texts": texts, "grid": grid, "ways": paths}
 
@@ -124,7 +126,7 @@ def _outlines(panel: Panel, chosen: np.ndarray) -> Iterator[tuple[Series, tuple[
             yield series, (values if series.low is None else series.low[chosen], values)
 
 
-def _way(x: np.ndarray, y: np.ndarray, single: bool = False) -> str:
+def _line_path(x: np.ndarray, y: np.ndarray, single: bool = False) -> str:
     """A line that is broken where there is nothing, or a dot for each point."""
     known = np.isfinite(x) & np.isfinite(y)
     drawn, texts = False, []
@@ -140,4 +142,6 @@ def _area(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
     known = np.isfinite(x) & np.isfinite(lower) & np.isfinite(upper)
     runs = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
     shown = [run for run in runs if len(run) and known[run[0]]]
-    return "".join(f"{_way(x[run], upper[run])}L{_way(x[run[::-1]], lower[run[::-1]])[1:]}Z" for run in shown)
+    return "".join(
+        f"{_line_path(x[run], upper[run])}L{_line_path(x[run[::-1]], lower[run[::-1]])[1:]}Z" for run in shown
+    )

@@ -233,7 +233,7 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
     planned_moves = moves(loop.program)
     expected = chain([approach], chain.from_iterable(repeat(cycle)))
     for number, (move, wanted) in enumerate(zip(planned_moves, islice(expected, len(planned_moves)), strict=True)):
-        if (what := _unlike(move, wanted)) is not None:
+        if (what := _difference(move, wanted)) is not None:
             raise InputError(
                 f"{recipe.path}: {refused}: {what} of its move {number + 1} (line {move.line} of its program) is not "
                 f"the one that was searched for in motion.via_points; {advice}"
@@ -242,7 +242,7 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
         raise InputError(f"{recipe.path}: {refused}: its program does not end where a cycle ends; {advice}")
 
 
-def _unlike(move: Move, wanted: Move) -> str | None:
+def _difference(move: Move, wanted: Move) -> str | None:
     """Differences between two moves."""
     if (move.type, move.fly, move.via) != (wanted.type, wanted.fly, None):
         return "the kind"

@@ -113,7 +113,9 @@ class Source:
 
     def rows(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Time (S,) [s] of the rows, and the columns (S, k) of each quantity that the mapping names, of `rows` too."""
-        by_key = {key: self._found(key, columns) for key in ARRAYS if (columns := getattr(self.mapping.entries, key))}
+        by_key = {
+            key: self._find_columns(key, columns) for key in ARRAYS if (columns := getattr(self.mapping.entries, key))
+        }
         self._check_apart(by_key)
         if (wanted := self.mapping.entries.rows) is not None and not isinstance(wanted.equals, list):
             by_key["rows"] = self._columns("rows", "rows.column", wanted.file, [wanted.column])
@@ -319,7 +321,7 @@ class Source:
             return values
         return np.linalg.solve(self.robot.coupling, (values / self.robot.gear_ratios).T).T
 
-    def _found(self, key: str, columns: Columns) -> list[tuple[ColumnTable, np.ndarray]]:
+    def _find_columns(self, key: str, columns: Columns) -> list[tuple[ColumnTable, np.ndarray]]:
         """The table and the column (S,) of each joint."""
         n, joints = self.robot.dof, self.robot.joint_names
         names = columns.columns

@@ -167,7 +167,7 @@ def _table(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) -> 
             if field == "effort":
                 without_effort = bare
             if any(getattr(group, field) is not None for group in usable):
-                repairs += Repair.of(_without(field, bare, names), time, unknown)
+                repairs += Repair.of(_lacking_text(field, bare, names), time, unknown)
             continue
         wild = impossible(values, field) & ~unknown
         for rows, kind in ((unknown, f"without a finite {field}"), (wild, f"with a {field} that no arm can have")):
@@ -197,7 +197,7 @@ def _column(groups: list[Messages], field: str, names: tuple[str, ...], scratch:
     return scratch.keep(np.concatenate(parts))
 
 
-def _without(field: str, bare: Sequence[str], names: Sequence[str]) -> str:
+def _lacking_text(field: str, bare: Sequence[str], names: Sequence[str]) -> str:
     """Text about a quantity that some of the joints lack."""
     whose = f" of {', '.join(bare)}" if 0 < len(bare) < len(names) else ""
     return f"samples without a finite {field}{whose}, so all {field} left out"
@@ -238,7 +238,7 @@ def _joined(groups: list[Messages], names: tuple[str, ...], scratch: Scratch) ->
     repairs = [repair for table in ordered.values() for repair in table.repairs]
     repairs.append(Repair(f"joints in several messages ({listed}), joined by stamp; samples", 0.0, int(covered.sum())))
     if 0 < len(bare) < len(names):
-        repairs.append(Repair(_without("effort", bare, names), 0.0, len(base.stamp)))
+        repairs.append(Repair(_lacking_text("effort", bare, names), 0.0, len(base.stamp)))
     return _Table(first, base.stamp, arrays, tuple(repairs), bare).taken(np.flatnonzero(covered), scratch)
 
 

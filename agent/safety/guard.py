@@ -151,7 +151,7 @@ class GuardedLink:
         return reported_position(status, self.robot, self.address)
 
     @property
-    def _unseen(self) -> bool:
+    def _is_unwatched(self) -> bool:
         """Whether a motion is authorised that nobody has watched, and nobody watches now."""
         return self._authorisation is not None and self._authorisation.unseen
 
@@ -163,7 +163,7 @@ class GuardedLink:
         """
         if self._emulator or self._checked.has(self.identity.serial or self.address, program.checksum):
             return False
-        if self._unseen:
+        if self._is_unwatched:
             if not program.speed <= FIRST_SPEED:
                 raise InputError(
                     f"{self.address}: program {program.name!r} is new, and it reaches {program.speed:.2f} m/s; with "
@@ -249,7 +249,9 @@ class GuardedLink:
                     self._settle(watch, samples, keep)
             finally:
                 self._watch = None
-        if over and program.chains and not self._emulator and not self._unseen:  # it moved, slowly or known before
+        if (
+            over and program.chains and not self._emulator and not self._is_unwatched
+        ):  # it moved, slowly or known before
             self._checked.add(self.identity.serial or self.address, program.stands_for or program.checksum)
 
     def _start(self, program: PlannedProgram, watch: MotionWatch) -> DriverError | None:

@@ -97,7 +97,7 @@ def check_ready(status: Status, address: str, program: str, checksum: str) -> No
     """
     if status.emergency_stop:
         raise SafetyError(f"{address}: the emergency stop is pressed; release it, reset the drives and start again")
-    faults = [before for before, _ in _forbidding(status)]
+    faults = [before for before, _ in _forbidden_states(status)]
     if status.moving:
         faults.append("the arm is moving already; wait for it, or stop it")
     if (status.program, status.checksum) != (program, checksum):
@@ -209,10 +209,10 @@ def unsafe_in_motion(status: Status) -> str | None:
     """Why an arm that moves has to stop now, and what to do; None if all is as it was at the start."""
     if status.emergency_stop:
         return "the emergency stop was pressed; release it, reset the drives, then run the command again"
-    return next((f"{in_motion}, then run the command again" for _, in_motion in _forbidding(status)), None)
+    return next((f"{in_motion}, then run the command again" for _, in_motion in _forbidden_states(status)), None)
 
 
-def _forbidding(status: Status) -> Iterator[tuple[str, str]]:
+def _forbidden_states(status: Status) -> Iterator[tuple[str, str]]:
     """What forbids motion but the emergency stop: as it is reported before a start, and of an arm that moves."""
     if not status.drives_on:
         yield "the drives are off; switch them on", "the drives went off; look for the fault at the controller"

@@ -66,7 +66,7 @@ class ReferencePath:
             rows.append(first_row[id(chain)] + np.arange(len(chain.t)))
             plan_times.append(passed + chain.t - chain.t[0])
             passed += chain.duration
-        parts = [_along(chain, dynamics, margin, limits) for chain in different.values()]
+        parts = [_sample_stretch(chain, dynamics, margin, limits) for chain in different.values()]
         q, tool, reach, speed, pace, slowest = (
             np.concatenate(columns) for columns in zip(*(part[:6] for part in parts), strict=True)
         )
@@ -168,7 +168,7 @@ def _run(low: int, high: int, count: int) -> np.ndarray:
     return run
 
 
-def _along(chain: Trajectory, dynamics: Dynamics, margin: float, limits: np.ndarray) -> tuple[np.ndarray, ...]:
+def _sample_stretch(chain: Trajectory, dynamics: Dynamics, margin: float, limits: np.ndarray) -> tuple[np.ndarray, ...]:
     """q, tool, reach, speed, highest speed of the tool around and slowest by sample of a stretch, and its levers."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 

@@ -183,7 +183,7 @@ class MotionWatch:
                 for block in self._driver.samples():
                     if int(block.sequence[-1]) <= self._last:
                         yield block  # once more: whoever was interrupted may not have taken it
-                    elif self._broken(block) is None:
+                    elif self._defect(block) is None:
                         self._note(block)
                         yield block
             except Exception as error:  # whatever it is, the arm is followed to its end
@@ -226,7 +226,7 @@ class MotionWatch:
 
     def _judge(self, block: SampleBlock) -> bool:
         """Judge a block; whether it belongs into the log."""
-        if (broken := self._broken(block)) is not None:
+        if (broken := self._defect(block)) is not None:
             self._blame(
                 ControllerError(
                     f"{self._address}: the arm was stopped: the controller {broken}; look for the fault there, then "
@@ -247,7 +247,7 @@ class MotionWatch:
         self.stopping.take(block)
         self._freshness.judged(self._now)
 
-    def _broken(self, block: SampleBlock) -> str | None:
+    def _defect(self, block: SampleBlock) -> str | None:
         """Reason why a block cannot be judged or recorded as samples of this arm; None if it can."""
         joints = self._robot.dof
         arrays = [values for values in vars(block).values() if isinstance(values, np.ndarray) and values.ndim != 1]
@@ -275,7 +275,7 @@ class MotionWatch:
         known = isinstance(fault, SafetyError) and not isinstance(dropped, MotionStopped)
         if dropped is not None and not (known or self.stopping.failure):
             raise dropped
-        if fault is None and (reason := self._adherence.judge() or self._early(self._last)) is not None:
+        if fault is None and (reason := self._adherence.judge() or self._early_end(self._last)) is not None:
             fault = SafetyError(f"{self._address}: {reason}")
         if self.stopping.disobeyed:
             raise SafetyError(f"{fault or self._address}; {self.stopping.failure}")
@@ -292,7 +292,7 @@ class MotionWatch:
             "at the program that runs there, then run the command again"
         )
 
-    def _early(self, last: int) -> str | None:
+    def _early_end(self, last: int) -> str | None:
         """What is wrong with a motion that has ended by itself before its plan, with sample number `last`.
 
         What came after that may be lost; then the arm has to stand at the end of the plan.

@@ -129,7 +129,7 @@ class Ros2Cell(FaultyController):
         samples = follow(self._plant, self._astray, reference, rate, self._start)
         self.position, self.velocity = samples.position[-1], samples.velocity[-1]
         self._notice(count)
-        effort, reported = self._measured(samples.torque), self._told(samples)
+        effort, reported = self._measured(samples.torque), self._reported(samples)
         return RosCycles(stamps, reported.position, reported.velocity, effort, reported.reference_position, rate)
 
     def _measured(self, torque: np.ndarray) -> np.ndarray:

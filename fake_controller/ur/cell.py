@@ -363,7 +363,7 @@ class UrCell(UrState):
         position, velocity, torque, q, qd = samples.columns
         self.reference, self.reference_velocity = q[-1], qd[-1]
         self.position, self.velocity = position[-1], velocity[-1]
-        position, velocity, torque, q, qd = self._told(samples).columns
+        position, velocity, torque, q, qd = self._reported(samples).columns
         return Cycles(self, times, q, qd, qdd, position, velocity, torque)
 
     def _set_points(self, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -48,8 +48,8 @@ _PURE: dict[str, Callable[..., Any]] = {
     "pose_inv": lambda pose: _pose(np.linalg.inv(matrix_of(pose))),
     "pose_trans": lambda first, second: _pose(matrix_of(first) @ matrix_of(second)),
     "pose_sub": lambda a, b: Pose([*np.subtract(a[:3], b[:3]), *_pose(matrix_of(a) @ np.linalg.inv(matrix_of(b)))[3:]]),
-    "str_cat": lambda a, b: _said(a) + _said(b),
-    "to_str": lambda value: _said(value),
+    "str_cat": lambda a, b: _text_of(a) + _text_of(b),
+    "to_str": lambda value: _text_of(value),
     "sleep": lambda t: pause(float(t)),
     "sync": lambda: pause(0.0),
     "stopj": lambda a=2.0: Request(lambda cell, thread: cell.brake(thread, a)),
@@ -142,7 +142,7 @@ class _Functions:
         return command(lambda cell: cell.watch(variable_name, min_frequency, action))
 
     def textmsg(self, s1: Any, s2: Any = "") -> Request:
-        return command(lambda cell: cell.tell_text(_said(s1) + _said(s2)))
+        return command(lambda cell: cell.tell_text(_text_of(s1) + _text_of(s2)))
 
     def protective_stop(self) -> Request:
         return command(lambda cell: cell.protective_stop("the program asked for it"))
@@ -185,7 +185,7 @@ def _pose(matrix: np.ndarray) -> Pose:
     return Pose(poses_of(matrix[None])[0].tolist())
 
 
-def _said(value: object) -> str:
+def _text_of(value: object) -> str:
     return f"p{list(value)}" if isinstance(value, Pose) else str(value)
 
 

@@ -56,7 +56,9 @@ class Backlash(TwoMass):
             return []
         tried = super().settings(context, joints)
         if tried and context.signals[0].through_play is not None:
-            tried += self._read_behind(context, joints[0], len(self._alone(context)[joints[0]][0]) > len(self.few))
+            tried += self._read_behind(
+                context, joints[0], len(self._on_single_joint(context)[joints[0]][0]) > len(self.few)
+            )
         return tried
 
     def _read_behind(self, context: FitContext, k: int, suspect: bool) -> list[dict[str, float]]:

@@ -263,10 +263,12 @@ class Windows:
         order = self._order[~shared[self._order]]
         for first in range(0, len(order), _LOOK):
             some = order[first : first + _LOOK]
-            new = some[self._whole[some] == _UNKNOWN]
+            new = some[self._without_pause[some] == _UNKNOWN]
             if len(new):
-                self._whole[new] = self.sums.whole(self.starts[new], self.duration, self.gain[new], self.force[new])
-            whole = self._whole[some] == 1
+                self._without_pause[new] = self.sums.whole(
+                    self.starts[new], self.duration, self.gain[new], self.force[new]
+                )
+            whole = self._without_pause[some] == 1
             if whole.any():
                 at = int(some[np.argmax(whole)])
                 return PushedWindow(float(self.gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
@@ -278,7 +280,7 @@ class Windows:
         return np.argsort(-self.gain, kind="stable")
 
     @cached_property
-    def _whole(self) -> np.ndarray:
+    def _without_pause(self) -> np.ndarray:
         """(K,) whether windows have no pause, as far as that is known."""
         return np.full(len(self.starts), _UNKNOWN, dtype=np.int8)
 
@@ -387,7 +389,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
         taken.append(last)
         heappush(heap, (-push.gain, number))
     free = [(w, ~w.shared(taken)) for w in windows]
-    compared = [(push, *_beside(push, taken, free)) for push in taken]
+    compared = [(push, *_usual_and_repeated(push, taken, free)) for push in taken]
     bare = [push for push in taken if any(w.bare(push) for w in windows)]
     alone = [
         push
@@ -402,20 +404,20 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
 Free = Sequence[tuple[Windows, np.ndarray]]
 
 
-def _beside(push: PushedWindow, taken: Sequence[PushedWindow], windows: Free) -> tuple[float, float]:
+def _usual_and_repeated(push: PushedWindow, taken: Sequence[PushedWindow], windows: Free) -> tuple[float, float]:
     """Gain that is usual or near a push, and the gain that repeats at its phase of another cycle."""
     of_link = [(w, free) for w, free in windows if w.link == push.link]
     of_log = [(w, free) for w, free in of_link if w.log == push.log]
     as_long = min((w.duration for w, _ in of_log), key=lambda duration: abs(duration - push.duration))
     scale = push.duration / as_long
-    usual = _usual(push, of_link)
+    usual = _usual_gain(push, of_link)
     again = scale * max((w.again(push, taken) for w, _ in of_log if w.duration == as_long), default=0.0)
     near = scale * max((w.near(push, free) for w, free in of_log if w.duration == as_long), default=0.0)
     shortest = [w for w, _ in of_log if w.duration == _DURATIONS[0]]
     return max(usual, near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0)), again
 
 
-def _usual(push: PushedWindow, windows: Free) -> float:
+def _usual_gain(push: PushedWindow, windows: Free) -> float:
     """Usual gain of a window as long as a push, scaled up from shorter windows if no such window is free.
 
     Infinite if no window is free: a force from the first sample to the last is no event.
@@ -439,7 +441,7 @@ def shaped(push: PushedWindow, motions: Motions) -> PushedWindow:
         push: with the usual edges.
         motions: that it is one of the logs of.
     """
-    time, columns, error = _around(push, motions)
+    time, columns, error = _surroundings(push, motions)
     squares = np.einsum("san,sbn->sab", columns, columns).reshape(len(time), 9)
     pull = np.einsum("san,sn->sa", columns, error)
     moved = push.duration * np.arange(-_END_STEPS, _END_STEPS + 1) / (2 * _END_STEPS + 1)
@@ -455,7 +457,7 @@ def shaped(push: PushedWindow, motions: Motions) -> PushedWindow:
     return replace(push, start=start, duration=duration, rise=rise, fall=fall)
 
 
-def _around(push: PushedWindow, motions: Motions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _surroundings(push: PushedWindow, motions: Motions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Time (K,) [s], columns (K, 3, n) of a force and error (K, n) over σ, from well before a push to well after."""
     parts = []
     for signals, residual, sigma in motions:

@@ -53,7 +53,7 @@ class ThermalFriction(FrictionLevel):
         session = max(s.started + float(s.time[-1]) for s in motions)
         each = {s.log_index: 0.0 for s in motions}
         for s in motions:
-            each[s.log_index] += float(_way(s, axle)[-1])
+            each[s.log_index] += float(_travelled(s, axle)[-1])
         furthest, whole = max(each.values()), sum(each.values())
         first = min(motions, key=lambda s: (s.started, float(s.time[0]))).log_index
         start = max(float(s.time[-1]) for s in motions if s.log_index == first)
@@ -86,13 +86,13 @@ class ThermalFriction(FrictionLevel):
         for motion in sorted(motions, key=lambda s: (s.started, s.log_index, float(s.time[0]))):
             before = gone.setdefault(motion.log_index, np.zeros(len(whole)))
             motion.memory["gone"] = before, whole
-            distance = np.array([float(_way(motion, axle)[-1]) for axle in range(len(whole))])
+            distance = np.array([float(_travelled(motion, axle)[-1]) for axle in range(len(whole))])
             gone[motion.log_index], whole = before + distance, whole + distance
 
     def level_columns(self, signals: MotionSignals, axle: int, settings: Numbers) -> tuple[np.ndarray, ...]:
         if "way" in settings:
             before = signals.memory.get("gone", (np.zeros(signals.q.shape[1]),) * 2)["session" in settings][axle]
-            fading = np.exp(-(before + _way(signals, axle)) / settings["way"])
+            fading = np.exp(-(before + _travelled(signals, axle)) / settings["way"])
         else:
             since = signals.time + (signals.started if "session" in settings else 0.0)
             fading = np.exp(-since / settings["time_constant"])
@@ -107,7 +107,7 @@ class ThermalFriction(FrictionLevel):
         return rubs(reference, axle, **cold)
 
 
-def _way(signals: MotionSignals, axle: int) -> np.ndarray:
+def _travelled(signals: MotionSignals, axle: int) -> np.ndarray:
     """(S,) distance that an axle has travelled since the first sample [rad]."""
     q = signals.axles.position[:, axle]
     return signals.remembered(("travelled", axle), lambda: np.cumsum(np.abs(np.diff(q, prepend=q[0]))))

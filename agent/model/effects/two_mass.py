@@ -93,7 +93,7 @@ class TwoMass(Effect):
         (k,) = joints
         if _inertia(context, k) <= _MASSLESS:
             return []
-        return self._refined(context, k, *self._alone(context)[k], self._on_joint)
+        return self._refined(context, k, *self._on_single_joint(context)[k], self._on_joint)
 
     def _refined(
         self,
@@ -129,18 +129,18 @@ class TwoMass(Effect):
         values = [[entry[name] * steps[name] ** power for power in (-1, 0, 1)] for name in moved]
         return [{**entry, **dict(zip(moved, combination, strict=True))} for combination in product(*values)]
 
-    def _alone(self, context: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
+    def _on_single_joint(self, context: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
         """Per joint: the grid, and (S', len(grid)) torque on this joint alone, motions concatenated."""
         known = context.signals[0].memory.setdefault("alone", {})
         if self.name not in known:
             heavy = (k for k in range(context.reference.robot.dof) if _inertia(context, k) > _MASSLESS)
             known[self.name] = {}
             for k in heavy:
-                entries = self._tried(context, k)
+                entries = self._starting_grid(context, k)
                 known[self.name][k] = entries, self._on_joint(context, k, entries)
         return known[self.name]
 
-    def _tried(self, context: FitContext, k: int) -> list[dict[str, float]]:
+    def _starting_grid(self, context: FitContext, k: int) -> list[dict[str, float]]:
         inertia = _inertia(context, k)
         energy = _energy(context)
         suspect = max(min(_SUSPECT, 0.5 * energy.max()), 1.0 if context.given else 0.0)

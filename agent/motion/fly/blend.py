@@ -127,8 +127,8 @@ class CartesianCorner(Corner):
     def deviation(self) -> float:
         """[m] of the path from the corner point, or for FLY_PASS of the path from the two moves."""
         before, after = self.before.curve, self.after.curve
-        if self._ways is not None:
-            sides = self.into * self._ways[1] - self.out * self._ways[0]
+        if self._legs is not None:
+            sides = self.into * self._legs[1] - self.out * self._legs[0]
             return 2.0 * float(self.step.integral(np.array(0.5))) * rotation.length(sides)
         some = np.linspace(0.0, 1.0, 33)
         points = self._position(some, *self.sigma(some))
@@ -166,7 +166,7 @@ class CartesianCorner(Corner):
         return lengths, np.minimum(along[len(nodes) :] / apart[len(nodes) :], 1.0)
 
     @cached_property
-    def _ways(self) -> tuple[np.ndarray, np.ndarray] | None:
+    def _legs(self) -> tuple[np.ndarray, np.ndarray] | None:
         """(3,) [m] of both moves where their sum alone is the blend; else None."""
         before, after = self.before.curve, self.after.curve
         if self.through or not isinstance(before, Line) or not isinstance(after, Line):
@@ -203,8 +203,8 @@ class CartesianCorner(Corner):
         """ds/dτ (S,) of the blend, and of its two moves one after the other."""
         before, after = self.before, self.after
         rate_one, rate_two = self.step.rate(tau, self.out, self.into)
-        if self._ways is not None:
-            a, b = self._ways
+        if self._legs is not None:
+            a, b = self._legs
             squares = rate_one * (rate_one * (a @ a) + rate_two * (2.0 * (a @ b))) + rate_two**2 * (b @ b)
         else:
             sigma_one, sigma_two = self.sigma(tau)

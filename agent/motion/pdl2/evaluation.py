@@ -172,10 +172,10 @@ def _value(node: syntax.Expression, memory: Memory) -> Value:
             data_type = _declared(node, memory)
             if data_type.size is not None:
                 raise Pdl2Error(f"is {data_type}; name one element as {node.word}[i]", node.position)
-            return _held(node, data_type, memory, node.name, node.word)
+            return _stored_value(node, data_type, memory, node.name, node.word)
         case syntax.Element():
             index = subscript(node, memory)
-            return _held(node, _declared(node, memory), memory, (node.name, index), f"{node.word}[{index}]")
+            return _stored_value(node, _declared(node, memory), memory, (node.name, index), f"{node.word}[{index}]")
         case syntax.System():
             kind = _system(node).kind
             if memory.types is None:
@@ -203,7 +203,9 @@ def _declared(node: syntax.Name | syntax.Element, memory: Memory) -> DataType:
     return data_type
 
 
-def _held(node: syntax.Expression, data_type: DataType, memory: Memory, key: str | tuple[str, int], word: str) -> Value:
+def _stored_value(
+    node: syntax.Expression, data_type: DataType, memory: Memory, key: str | tuple[str, int], word: str
+) -> Value:
     """The value of a variable or an array element."""
     value = _SPECIMENS[data_type.name] if memory.checking else memory.variables.get(key)
     if value is None:

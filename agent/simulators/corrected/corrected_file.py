@@ -109,7 +109,7 @@ def _changes(correction: Correction, edits: UrdfEdits | MjcfEdits) -> Iterator[C
             blocks = [seen_from(entry.own, body.pose) for entry in (before.carrying[k], body)]
             edits.set_inertial(k, body.name, blocks[1])
             owner = f"{'link' if before.is_urdf else 'body'} {body.name or 'of ' + joint}"
-            original, fixed = map(_said, blocks)
+            original, fixed = map(_inertia_numbers, blocks)
             for key in original:
                 yield _change(owner, key, original[key], fixed[key], released.links[k])
     for pair in after.excluded:
@@ -158,7 +158,7 @@ def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]
             yield _change(f"actuator of {joint}", "kv", -before[2], -bias[2], released.gains.get(k, unchanged))
 
 
-def _said(block: np.ndarray) -> dict[str, float | list[float]]:
+def _inertia_numbers(block: np.ndarray) -> dict[str, float | list[float]]:
     """Mass, centre of mass, and inertia about it (xx, xy, yy, xz, yz, zz) of a body (10,)."""
     heavy = block[0] > 0
     centre = block[1:4] / block[0] if heavy else np.zeros(3)

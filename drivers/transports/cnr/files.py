@@ -91,8 +91,8 @@ class ProgramFolder:
             ftp.storbinary(f"STOR {name}", io.BytesIO(data))
         except (ftplib.error_perm, ftplib.error_temp) as error:
             raise RefusedError(
-                f"the controller at {self._peer} does not store {name}: {self._said(error)}; is its memory full, may "
-                "its user write there?"
+                f"the controller at {self._peer} does not store {name}: {self._public_text(error)}; is its memory "
+                "full, may its user write there?"
             ) from None
 
     @contextmanager
@@ -106,7 +106,7 @@ class ProgramFolder:
             raise ProtocolError(f"what answers at {self._peer} is no FTP server: {error}") from None
         except (ftplib.Error, EOFError) as error:
             raise DriverError(
-                f"FTP at {self._peer} failed: {self._said(error) or 'the connection was closed'}"
+                f"FTP at {self._peer} failed: {self._public_text(error) or 'the connection was closed'}"
             ) from None
         except OSError as error:
             raise DriverError(
@@ -118,7 +118,7 @@ class ProgramFolder:
                 ftp.quit()
             ftp.close()
 
-    def _said(self, error: Exception) -> str:
+    def _public_text(self, error: Exception) -> str:
         """The server's words, which may repeat what the options of the address say."""
         text = str(error)
         for option in (self._address.user, self._address.folder):
@@ -131,15 +131,15 @@ class ProgramFolder:
             ftp.login(address.user, read_secret(address.password_from) if address.password_from else "")
         except ftplib.error_perm as error:
             raise DriverError(
-                f"FTP at {self._peer} does not let this user in: {self._said(error)}; give user= and password_from= in "
-                "the address"
+                f"FTP at {self._peer} does not let this user in: {self._public_text(error)}; give user= and "
+                "password_from= in the address"
             ) from None
         if address.folder:
             try:
                 ftp.cwd(address.folder)
             except ftplib.error_perm as error:
                 raise DriverError(
-                    f"FTP at {self._peer} has no folder as the address names it: {self._said(error)}"
+                    f"FTP at {self._peer} has no folder as the address names it: {self._public_text(error)}"
                 ) from None
 
 

@@ -256,7 +256,7 @@ class Ros2Motion(SampleStream):
                 )
             )
         if self._phase in ("moving", "settling") and self._result is not None and self._result[0] != 0:
-            return self._held(*self._result)
+            return self._goal_ended(*self._result)
         match self._phase:
             case "moving":
                 self._follow(sample)
@@ -302,7 +302,7 @@ class Ros2Motion(SampleStream):
                 )
             )
 
-    def _held(self, code: int, text: str) -> None:
+    def _goal_ended(self, code: int, text: str) -> None:
         """The controller has ended the goal by itself, and holds, unless something else moves the arm now."""
         why = _ended_by(code, text)
         if code == _REPLACED:
