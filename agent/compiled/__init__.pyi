@@ -1,12 +1,12 @@
-from .kinematics import apart as apart, forward_and_jacobian as forward_and_jacobian
+from .kinematics import forward_and_jacobian as forward_and_jacobian, pose_errors as pose_errors
 from .linear_response import stepped as stepped
-from .paths import derivatives as derivatives, not_a_knot as not_a_knot, products as products
+from .paths import derivatives as derivatives, not_a_knot as not_a_knot, quaternion_products as quaternion_products
 from .play import driven_through_play as driven_through_play, servo_through_play as servo_through_play
 from .profile import (
-    fastest as fastest,
-    law_at as law_at,
+    fastest_profile as fastest_profile,
     lower_ceiling as lower_ceiling,
     speed_change_sums as speed_change_sums,
+    time_law as time_law,
     widen_dips as widen_dips,
 )
 from .rigid_bodies import regressor_columns as regressor_columns

@@ -83,7 +83,7 @@ def forward_and_jacobian(  # noqa: C901
 
 
 @compiled("Tuple((f8[:,::1], f8[:,::1]))(f8[:,:,:], f8[:,:,:])")
-def apart(target: np.ndarray, actual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pose_errors(target: np.ndarray, actual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of poses (S, 4, 4) (S, 6) the displacement and the axis times twice the sine of the turn, from actual to target;
     and (2, S) twice the turn's sine and cosine."""
     error, rotation_size = np.empty((len(target), 6)), np.empty((2, len(target)))

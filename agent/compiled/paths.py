@@ -29,7 +29,7 @@ def _conjugate(quaternion: np.ndarray, conjugate: np.ndarray) -> None:
 
 
 @compiled("f8[:,::1](f8[:,::1], f8[:,::1])")
-def products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def quaternion_products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """(S, 4) Hamilton products of quaternions; a single one (1, 4) on either side goes with all of the other."""
     product = np.empty((len(left) if len(right) == 1 else len(right), 4))
     for k in range(len(product)):

@@ -39,7 +39,7 @@ def speed_change_sums(
 
 
 @compiled("f8[::1](f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)")
-def fastest(  # noqa: C901
+def fastest_profile(  # noqa: C901
     ceiling: np.ndarray,
     weight: np.ndarray,
     rising: np.ndarray,
@@ -124,7 +124,7 @@ def widen_dips(s: np.ndarray, ceiling: np.ndarray, window: float) -> np.ndarray:
 
 
 @compiled("f8[:,::1](f8[::1], f8[::1])")
-def law_at(s: np.ndarray, z: np.ndarray) -> np.ndarray:
+def time_law(s: np.ndarray, z: np.ndarray) -> np.ndarray:
     """(4, K) time, speed, acceleration up to the next knot and integral of s - s₀, with z = ṡ² linear between knots."""
     law = np.zeros((4, len(s)))
     time, speed, acceleration, integral = law[0], law[1], law[2], law[3]

@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 from agent.compiled import (
     derivatives,
     evaluate_spline,
-    fastest,
-    law_at,
+    fastest_profile,
     lower_ceiling,
     moving_average_law,
     not_a_knot,
     tcp_rates,
+    time_law,
     time_stretch_factors,
     widen_dips,
 )
@@ -49,7 +49,7 @@ def test_the_fastest_profile_is_feasible_and_optimal_at_every_knot(seed: int, ro
     ceiling, weight = rng.uniform(0.1, 2.0, knots), rng.uniform(0.0, 1.0, (rows, knots)) ** 3
     sums = [np.cumsum(rng.uniform(0.0, 0.3, (rows, knots)) * np.r_[0.0, np.ones(knots - 1)], axis=1) for _ in "ud"]
     least = np.full(rows, 1e-4)
-    z = fastest(ceiling, weight, *sums, least, 10_000)
+    z = fastest_profile(ceiling, weight, *sums, least, 10_000)
     assert z[0] == z[-1] == 0.0
     close = 2e-4 * z.max() * np.arange(knots)  # passes end once z changes by 1e-4 of its largest, above the limits
     assert constraints_kept(0.999 * z, ceiling, weight, [1.002 * part + close for part in sums], least)
@@ -160,7 +160,7 @@ def test_the_time_stretch_is_set_by_the_most_used_limit(seed: int, joints: int, 
 def test_a_law_has_constant_accelerations_between_knots(seed: int, knots: int) -> None:
     rng = np.random.default_rng(seed)
     s, z = 2.0 + np.cumsum(rng.uniform(0.01, 0.1, knots)), rng.uniform(0.1, 2.0, knots)
-    time, speed, acceleration, integral = law_at(s, z)
+    time, speed, acceleration, integral = time_law(s, z)
     dt = np.diff(time)
     np.testing.assert_allclose(speed**2, z)
     np.testing.assert_allclose(np.diff(z), 2.0 * acceleration[:-1] * np.diff(s), rtol=1e-9, atol=1e-12)

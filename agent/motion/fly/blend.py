@@ -17,7 +17,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from agent.compiled import products
+from agent.compiled import quaternion_products
 from agent.motion import rotation
 from agent.motion.fly.fly_parameters import SPACING, FlyParameters
 from agent.motion.fly.move_geometry import CartesianSegment, JointSegment, Line, Segment
@@ -195,8 +195,9 @@ class CartesianCorner(Corner):
             vectors = np.stack([rotation.rotation_vector(quaternion) for quaternion in between])
             return rotation.multiply(leaving, rotation.from_rotation_vector(u[:, None] * vectors))
         at_corner = after.orientation(np.zeros(1))
-        return products(
-            before.orientation(sigma_one), products(rotation.conjugate(at_corner), after.orientation(sigma_two))
+        return quaternion_products(
+            before.orientation(sigma_one),
+            quaternion_products(rotation.conjugate(at_corner), after.orientation(sigma_two)),
         )
 
     def _rates(self, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from agent.compiled import products
+from agent.compiled import quaternion_products
 from agent.motion import rotation
 from agent.motion.path_settings import PathSettings
 from agent.robot import Kinematics
@@ -132,7 +132,7 @@ class SingleAxis:
 
     def orientation(self, sigma: np.ndarray) -> np.ndarray:
         """(S, 4) unit quaternions."""
-        turned = products(rotation.about(self.axis, sigma * self.angle), self.start[None])
+        turned = quaternion_products(rotation.about(self.axis, sigma * self.angle), self.start[None])
         return turned if self.curve is None else rotation.multiply(self.curve.path_frame(sigma), turned)
 
 

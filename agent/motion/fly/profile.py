@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.compiled import derivatives, fastest, not_a_knot, speed_change_sums
+from agent.compiled import derivatives, fastest_profile, not_a_knot, speed_change_sums
 from agent.motion.fly import rules
 from agent.motion.fly.fly_parameters import FlyParameters
 from agent.motion.fly.path import Path
@@ -196,7 +196,7 @@ class Ramps:
         falling = (
             rising if self._alike else speed_change_sums(ceiling, self._joints, self._tool, self._steps, self._fall)
         )
-        z = fastest(ceiling, self._weight, rising, falling, self._least, _PASSES)
+        z = fastest_profile(ceiling, self._weight, rising, falling, self._least, _PASSES)
         # Standstill belongs to the ends alone: a knot between them may not hold the arm for ever.
         z[1:-1] = np.maximum(z[1:-1], 1e-9 * np.max(ceiling[1:-1]))
         return z

@@ -17,7 +17,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.compiled import evaluate_spline, law_at, lower_ceiling, moving_average_law, time_stretch_factors, widen_dips
+from agent.compiled import (
+    evaluate_spline,
+    lower_ceiling,
+    moving_average_law,
+    time_law,
+    time_stretch_factors,
+    widen_dips,
+)
 from agent.motion.fly import rules
 from agent.motion.fly.fly_parameters import LONGEST, FlyParameters
 from agent.motion.fly.move_geometry import Segment, label_of
@@ -136,7 +143,7 @@ def plan_run(
     step = _COARSE * period
     for _ in range(_REPAIRS):
         # z = ṡ² is linear between the knots
-        time, speed, acceleration, integral = law_at(path.s, ramps.fastest(ceiling))
+        time, speed, acceleration, integral = time_law(path.s, ramps.fastest(ceiling))
         law = TimeLaw(time, path.s - path.s[0], speed, acceleration[:-1], integral, window)
         refuse_long(path, law, segments)
         samples = sampled(shape, law, step)

@@ -228,9 +228,9 @@ def position_text(pose: np.ndarray) -> str:
 
 def pose_error(target: np.ndarray, actual: np.ndarray) -> np.ndarray:
     """(S, 6) from actual to target poses (S, 4, 4): displacement [m], then rotation vector [rad], in the base frame."""
-    from agent.compiled import apart
+    from agent.compiled import pose_errors
 
-    error, (length, cosine) = apart(target, actual)
+    error, (length, cosine) = pose_errors(target, actual)
     angle = np.arctan2(length, cosine)
     # Tiny angles equal their sines to round-off; half a turn has no axis in it, and any will do to move on.
     scale = np.divide(angle, length, out=np.full(len(length), 0.5), where=length > 1e-12)
