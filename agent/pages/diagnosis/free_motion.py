@@ -77,7 +77,10 @@ def _motions(diagnosis: Diagnosis) -> Plot:
             Series("measured", scale * measured, colour=SERIES[2]),
             Series("as given", scale * (measured - dataset.residual[rows_of_log, k]), "dashed", SERIES[1]),
             Series(
-                "corrected", scale * (measured - diagnosis.gap.error_after[rows_of_log, k]), colour=SERIES[0], dash=DASHES[2]
+                "corrected",
+                scale * (measured - diagnosis.gap.error_after[rows_of_log, k]),
+                colour=SERIES[0],
+                dash=DASHES[2],
             ),
         )
         panels.append(Panel(name, unit, series, time, joint=name))
