@@ -255,6 +255,21 @@ def test_missing_samples_are_found_where_joints_turn_back_within_a_few_dozen_row
     np.testing.assert_array_equal(settled(sample_numbers(place / 500, 500.0), place, position), true)
 
 
+@given(st.floats(-1e-3, 1e-3))
+@settings(max_examples=8, deadline=None)
+@pytest.mark.parametrize("late", [0.3, 0.5, 0.6])
+@pytest.mark.parametrize("seed", range(4))
+def test_numbers_do_not_slip_with_stamps_that_come_late(seed, late, off):
+    """At a rate that is off by up to 1e-3: of 11000 samples at most two are made up."""
+    rng = np.random.default_rng(seed)
+    true = np.flatnonzero(rng.random(11_000) >= 0.03)
+    true = true - true[0]
+    place = np.maximum.accumulate(true + rng.exponential(late, len(true)))
+    number = sample_numbers(place / 1000, 1000.0 * (1 + off))
+    assert abs(number[-1] - true[-1]) <= 2
+    assert np.abs(number - true).max() <= 6
+
+
 def test_a_missing_sample_is_found_where_the_stamps_are_six_rows_off():
     """Beside another one, which a wrong guess would otherwise be moved to."""
     rng = np.random.default_rng(4)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-_BEGIN = 200  # samples that give the phase of the grid
+_BEGIN = 200  # samples of the first line
+_CLEAR = 0.25  # of a period: every interval that is off by less tells how many samples it holds
 _LOOKED_AT = 20_000  # samples that give its rate
 _SEARCHED = 0.25  # of the rate, to either side
 _FINE = 16  # parts of a period in which stamps are counted
@@ -43,32 +44,60 @@ def grid_rate(stamps: np.ndarray, rate: float) -> float | None:
 def sample_numbers(stamps: np.ndarray, rate: float) -> np.ndarray:
     """(S,) numbers, from 0 and rising, of sorted stamps (S,) [s] on a grid of about `rate` [Hz].
 
-    Any stamp may be late, and a rate that is off by 1e-4 is half a period off after 5000 samples. So the circular mean
-    of the first 200 stamps gives the phase, a line through them the rate for twice as many stamps, and so on.
+    A rate that is off by 1e-4 is half a period off after 5000 samples. So the rate is that at which the stamps keep
+    their phase best: of those that `grid_rate` looks at, of twice as many near that one, and so on. Where they keep
+    none, it is that of a line through the numbers, of the first 200 and of twice as many again and again. Elsewhere
+    that would not do: with stamps that are late, numbers slip with its rate.
     """
-    size = _BEGIN
-    turns = np.exp(2j * np.pi * rate * (stamps[:size] - stamps[0]))
-    slope, intercept = 1 / rate, stamps[0] + np.angle(turns.mean()) / (2 * np.pi * rate)
+    time = stamps - stamps[0]
+    steps = np.diff(time) * rate
+    whole = np.round(steps)
+    if np.all((np.abs(steps - whole) < _CLEAR) & (whole > 0)):
+        return np.append(0.0, np.cumsum(whole))
+    if (grid := grid_rate(time, rate)) is None:
+        return _along_lines(time, rate)
+    size = min(_LOOKED_AT, len(time))
     while True:
-        number = _rising((stamps[:size] - intercept) / slope)
-        if size >= len(stamps):
-            return number - number[0]
-        slope, intercept = line(number, stamps[:size])
+        rates = grid + 0.5 / time[size - 1] * np.linspace(-1, 1, 2 * _FINE + 1)
+        turns = [np.exp(2j * np.pi * trial * time[:size]).mean() for trial in rates]
+        best = int(np.argmax(np.abs(turns)))
+        grid = float(rates[best])
+        if size == len(time):
+            break
+        size = min(2 * size, len(time))
+    periods = grid * time - np.angle(turns[best]) / (2 * np.pi)
+    rows = np.arange(len(periods))
+    smooth = _not_falling(periods - rows)
+    late = np.angle(np.exp(2j * np.pi * smooth).mean()) / (2 * np.pi)  # on average, a part of a period
+    number = rows + np.round(smooth - late)
+    return np.asarray(number - number[0])
+
+
+def _along_lines(time: np.ndarray, rate: float) -> np.ndarray:
+    """(S,) numbers of stamps (S,) [s] from 0 on, each nearest to the line through those before."""
+    size, slope = _BEGIN, 1 / rate
+    intercept = np.angle(np.exp(2j * np.pi * rate * time[:size]).mean()) / (2 * np.pi * rate)
+    while True:
+        periods = (time[:size] - intercept) / slope
+        rows = np.arange(len(periods))
+        number = np.round(periods)
+        if not np.all(np.diff(number) > 0):
+            number = rows + np.round(_not_falling(periods - rows))
+        if size >= len(time):
+            return np.asarray(number - number[0])
+        slope, intercept = line(number, time[:size])
         size *= 2
 
 
-def _rising(periods: np.ndarray) -> np.ndarray:
-    """Integers (S,) that rise by at least one, nearest to positions on the grid (S,) in least squares.
+def _not_falling(values: np.ndarray) -> np.ndarray:
+    """The (S,) that do not fall and are nearest to values (S,) in least squares.
 
-    Minus the row's own number, they must not fall: the nearest such sequence is the rounded isotonic regression.
+    Numbers rise by at least one from row to row. So minus the row's own number they must not fall, and the nearest such
+    numbers are these, rounded (isotonic regression).
     """
-    number = np.round(periods)
-    if np.all(np.diff(number) > 0):
-        return number
-    from scipy.optimize import isotonic_regression
+    from scipy.optimize import isotonic_regression  # slow to load
 
-    rows = np.arange(len(periods))
-    return rows + np.round(isotonic_regression(periods - rows).x)
+    return np.asarray(isotonic_regression(values).x)
 
 
 def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np.ndarray:
