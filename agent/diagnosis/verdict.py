@@ -22,7 +22,7 @@ from math import isfinite
 import numpy as np
 
 from agent.diagnosis.document import Cause, EffectPlace
-from agent.diagnosis.gap.adequacy import closed_alone, exceeds, main_joint, shortfalls
+from agent.diagnosis.gap.adequacy import closed_alone, exceeds, explained_part, main_joint, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
@@ -160,7 +160,7 @@ def keep_supported(
             continue
         causes = causes_of(dataset, selected, gap)
         lacking = shortfalls(selected.fit, gap, selected.causes, selected.irreplaceable)
-        explanation = _explanation(causes, gap.closure)
+        explanation = _explanation(causes, explained_part(selected.fit, gap, len(causes)))
         kept = () if explanation is None else explanation.causes
         if len(kept) == len(causes) and not any(lacking):
             return selected, gap

@@ -10,7 +10,7 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
-from agent.diagnosis.gap.adequacy import exceeds, remainders
+from agent.diagnosis.gap.adequacy import exceeds, explained_part, remainders
 from agent.diagnosis.gap.drives_off import channel_zero, zero_likelihood, zero_remarks
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
@@ -160,7 +160,8 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
     path = None if motion is None else motion.causes(of_path)
     dataset = explanation.dataset
     judged = not np.any(dataset.open_joints & (gap.before * gap.unit > dataset.fit.usual_error))
-    verdict = decide_verdict(explanation.selected, causes, gap.closure, path, numbers, by_numbers, judged)
+    closure = explained_part(explanation.selected.fit, gap, len(causes))
+    verdict = decide_verdict(explanation.selected, causes, closure, path, numbers, by_numbers, judged)
     return with_numbers(verdict, explanation, numbers) if explanation.of_file else verdict
 
 

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.diagnosis.gap.adequacy import LARGEST_ERROR, closed_alone, exceeds, remainder_sizes, remainders, shortfalls
+from agent.diagnosis.gap.adequacy import (
+    LARGEST_ERROR,
+    closed_alone,
+    exceeds,
+    explained_part,
+    remainder_sizes,
+    remainders,
+    shortfalls,
+)
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
@@ -73,6 +81,20 @@ def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause(size, ratio):
         transient=False, given=True, out_of_fold=lambda once, number=None: left if number is None else left + torque
     )
     assert closed_alone(fit, gap, 1) == pytest.approx(1 / (1 + ratio**2), abs=0.1)
+
+
+@given(size=st.floats(3, 30), worse=st.floats(1.5, 10))
+def test_a_change_of_the_model_that_does_harm_elsewhere_takes_nothing_from_a_cause(size, worse):
+    """With the model's change motion of the second joint is predicted worse, so all in all nothing is closed."""
+    torque, of_model = LONG[:, 1] * [size, 0.0], LONG[:, 0] * [0.0, worse * size]
+    left = LONG[:, 0] * [1e-3, 0.0] + of_model
+    rows = LONG[:, 0] * [1e-3, size] + torque
+    gap = HeldOutGap(rows, left, np.zeros(rows.shape), np.ones(2), rms(rows), rms(left), None)
+    fit = SimpleNamespace(
+        transient=False, given=True, out_of_fold=lambda once, number=None: left if number is None else left + torque
+    )
+    assert explained_part(fit, gap, 1) == max(gap.closure, closed_alone(fit, gap, 1))
+    assert explained_part(fit, gap, 1) > 0 > gap.closure
 
 
 @given(st.floats(2, 20), st.floats(0, 50))

@@ -210,6 +210,7 @@ def judged_by(selected, gap_of, told, failing=(), own=1.0, large=False):
 
     patches = {"held_out_gap": made, "causes_of": told_of, "shortfalls": lacking, "closed_alone": alone}
     patches |= {"drop_replaceable": lambda *_: None, "exceeds": lambda *_: large}
+    patches |= {"explained_part": lambda fit, gap, count: gap.closure}
     with patch.multiple(rules, **patches):
         judged, gap = keep_supported(dataset, selected, unit)  # type: ignore[arg-type]
     assert gap is gaps[-1]
