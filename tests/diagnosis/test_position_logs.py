@@ -361,6 +361,7 @@ def test_a_simulation_in_steps_moves_as_an_arm_that_has_none(source, tmp_path):
         assert np.abs(heavy - plain).max() > 0.02
 
 
+@pytest.mark.verify
 def test_commands_that_a_recorder_cut_are_said_and_are_no_fault(source):
     logs = [recorded(source, k, late=0.02, rest=2.0, nearest=0.1, seconds=6.0) for k in (1, 2)]
     found = found_in(source, logs)[1]

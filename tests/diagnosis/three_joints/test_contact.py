@@ -96,7 +96,8 @@ def are_found(found, expected, link=2, most=0.25):
     return True
 
 
-@pytest.mark.parametrize("shape", ["as it rises", pytest.param("as it falls", marks=pytest.mark.verify)])
+@pytest.mark.verify
+@pytest.mark.parametrize("shape", ["as it rises", "as it falls"])
 def test_a_strong_push_is_named_whatever_its_shape(arm, model, free, shape):
     """It explains all that it leaves: a force that jumps, then fades, is not one that is constant."""
     log = pushed(arm, free[0], "link_3", [(2.0, 3.2)], 4.0)

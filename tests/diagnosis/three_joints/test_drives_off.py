@@ -143,6 +143,7 @@ def test_refuses_an_unusable_drives_off_log(arm, model, logs, change, message):
         diagnose(arm, logs, model, drives_off=change(at_rest(logs[0], np.zeros(arm.dof))))
 
 
+@pytest.mark.verify
 def test_a_ruled_out_effect_is_not_asked_about_again(arm, model, logs):
     zero = at_rest(logs[0], np.zeros(arm.dof))
     found = [diagnose(arm, logs, model, drives_off=drives) for drives in (None, zero)]

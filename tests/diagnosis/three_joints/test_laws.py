@@ -87,6 +87,7 @@ def test_names_friction_with_a_longer_reversal_distance(arm, model, healthy, lev
     assert [part.joint for part in found.remainder] == ["joint_2"], "what is left is said"
 
 
+@pytest.mark.verify
 def test_names_a_small_effect_next_to_a_much_larger_one(arm, model, healthy):
     """The spring takes all but a hundredth of the gap; on the first joint there is nothing but viscous friction."""
     size = [np.std(healthy[0].effort[:, joint]) for joint in range(2)]
@@ -240,6 +241,7 @@ def test_load_dependent_friction_grows_with_link_torque_not_rotor_torque(arm, mo
     assert cause.parameters["coefficient"] == pytest.approx(1.0, rel=0.15)
 
 
+@pytest.mark.verify
 def test_names_a_spring_on_a_prismatic_joint():
     arm = make_arm("RPR")
     model, plant = learn(arm), Plant(arm, seed=3)

@@ -100,6 +100,7 @@ def test_a_model_with_an_effect_predicts_it_and_runs_in_the_fake_controller(name
     assert np.sqrt(np.mean((happened - predicted)[:, joint] ** 2)) < 0.4 * size[joint] + noise
 
 
+@pytest.mark.verify
 def test_named_causes_close_the_gap_in_simulation(diagnosed):
     assert [cause["effect"] for cause in diagnosed.result["causes"]] == ["payload"]
     simulated = simulate(diagnosed)
