@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, tostring
@@ -49,7 +49,8 @@ class SimulatedArm:
     it holds a stationary joint; less: that creeps), stiffness [N·m/rad] and the rest position [rad] of the spring;
     `file_joints` are the joints' names in the file. `carrying` (n,): which body takes a change of each link. `servos`:
     those of the file's joints, or why it has none. `step` [s] and `integrator` are those of the file's physics.
-    `excluded`: pairs of bodies that collide in the file and are to pass through each other.
+    `excluded`: pairs of bodies that collide in the file and are to pass through each other. `solver` (n,): how MuJoCo
+    solves friction and limits of a joint, as attributes of an MJCF, where that is not its usual way.
     """
 
     path: Path
@@ -67,6 +68,7 @@ class SimulatedArm:
     step: float | None = None
     integrator: str | None = None
     excluded: tuple[tuple[str, str], ...] = ()
+    solver: tuple[Mapping[str, str], ...] = ()
 
     @property
     def joint_names(self) -> tuple[str, ...]:

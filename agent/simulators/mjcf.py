@@ -138,6 +138,7 @@ def read_mjcf(path: Path, root: Element, match: Match) -> SimulatedArm:
         servos=position_servos(scene.mujoco, model, chosen),
         step=float(model.opt.timestep),
         integrator=scene.integrator,
+        solver=tuple(map(scene.solver, chosen)),
     )
     scene.check(arm)
     return arm
@@ -194,6 +195,19 @@ class _Scene:
         """As a file calls it."""
         name = self.mujoco.mjtIntegrator(self.model.opt.integrator).name.removeprefix("mjINT_")
         return {"EULER": "Euler", "RK4": "RK4"}.get(name, name.lower())
+
+    def solver(self, joint: int) -> dict[str, str]:
+        """How friction and limits of a joint are solved, as attributes of a file, where that is not the usual way."""
+        model, usual = self.model, self.mujoco.MjSpec().worldbody.add_joint()
+        dof = model.jnt_dofadr[joint]
+        ways = {
+            "solreffriction": (model.dof_solref[dof], usual.solref_friction),
+            "solimpfriction": (model.dof_solimp[dof], usual.solimp_friction),
+            "solreflimit": (model.jnt_solref[joint], usual.solref_limit),
+            "solimplimit": (model.jnt_solimp[joint], usual.solimp_limit),
+            "margin": (model.jnt_margin[joint : joint + 1], [usual.margin]),
+        }
+        return {name: digits(*own) for name, (own, other) in ways.items() if not np.array_equal(own, other)}
 
     def slides(self, joint: int) -> bool:
         """Whether a joint is prismatic."""

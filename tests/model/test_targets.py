@@ -119,6 +119,21 @@ def test_the_mjcf_moves_as_the_file_with_commands_that_much_later(numbers, fixed
     np.testing.assert_allclose(again.arm.stiffness, [0.0, 30.0])
 
 
+def test_the_mjcf_solves_friction_and_limits_as_the_file_does(tmp_path):
+    import mujoco
+
+    firm = SERVO.replace(
+        'range="-1.5 1.5"',
+        'range="-1.5 1.5" solimpfriction="0.9999 0.9999 0.001 0.5 2" solreffriction="0.004 1" solreflimit="0.05 0.8" '
+        'solimplimit="0.8 0.9 0.002 0.5 2" margin="0.02"',
+    )
+    source = written(tmp_path, firm, "firm.xml")
+    paths, _ = exported(numbers_of_file(source), "mjcf", tmp_path)
+    before, after = (mujoco.MjModel.from_xml_path(str(path)) for path in (source, paths["two.xml"]))
+    for way in ("dof_solimp", "dof_solref", "jnt_solimp", "jnt_solref", "jnt_margin"):
+        np.testing.assert_allclose(getattr(after, way), getattr(before, way), err_msg=way)
+
+
 def moves(path: Path, command: np.ndarray) -> np.ndarray:
     """(S, 2) positions under controls (S, 2), at steps of the file."""
     import mujoco

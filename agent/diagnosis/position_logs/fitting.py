@@ -151,8 +151,11 @@ def fit_output_error(
     progress: Callable[[str], None] = lambda text: None,
     gained: float = _GAINED,
     load: np.ndarray | None = None,
+    errors: np.ndarray | float = 0.0,
 ) -> OutputErrorFit:
     """Fit the numbers, from a `start` and what the last link gains by a `load` (10,) on.
+
+    Joints that err by `errors` (n,) [rad or m] whatever the numbers are count for less.
 
     Raises:
         InputError: the simulator blows up with the numbers to start from.
@@ -168,10 +171,11 @@ def fit_output_error(
     motions: list[FreeMotion] = first
     sigma = np.hypot(position_step(stretches) * np.sqrt(UNIFORM), LIMITS.least_error * usual_twist(motions, start.kp))
     x = np.linalg.lstsq(basis, table - np.concatenate([file.table.ravel(), [cut], np.zeros(_LOAD)]), rcond=None)[0]
+    expected = np.hypot(sigma, errors)
     weight, residuals = _DAMPING, _left(stretches, motions)
 
     def cost_of(residuals_at: Sequence[np.ndarray], at: np.ndarray) -> float:
-        return sum(float(np.sum((residual / sigma) ** 2)) for residual in residuals_at) + float(
+        return sum(float(np.sum((residual / expected) ** 2)) for residual in residuals_at) + float(
             np.sum((at / size) ** 2)
         )
 
@@ -186,9 +190,9 @@ def fit_output_error(
         matrix, side = np.diag(1 / size**2), -x / size**2
         for line, missing in zip(linearised(), residuals, strict=True):
             columns = _columns(line, line.number_columns(simulator, numbers), table[-_LOAD:], basis)
-            rows = (columns / sigma[None, :, None]).reshape(-1, len(size))
+            rows = (columns / expected[None, :, None]).reshape(-1, len(size))
             matrix += rows.T @ rows
-            side += rows.T @ (missing / sigma).ravel()
+            side += rows.T @ (missing / expected).ravel()
         drop = 0.0
         for _ in range(_TRIES):
             step = _bounded_step(matrix, side, weight, basis, table)

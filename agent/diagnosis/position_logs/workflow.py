@@ -148,13 +148,16 @@ def _fitted(
         if cuts and _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
             held, nearest = loaded, loaded.stretches[0].nearest
             break
+    errors = held.rmse  # one joint that keeps a large error does not decide the numbers of the others
+    settled = held.simulator, reference, held.stretches, file, held.numbers, held.parameters, progress
+    held = fit_output_error(*settled, load=held.load, errors=errors)
     if len(ways) == 1:
         return held, "", 0.0
     # a held command is late by half a frame in the middle
     begin = replace(held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
     stretches = tuple(stretch.cut(nearest) for stretch in stretches_of(logs, False, settling))
     smooth = fit_output_error(
-        held.simulator, reference, stretches, file, begin, held.parameters, progress, load=held.load
+        held.simulator, reference, stretches, file, begin, held.parameters, progress, load=held.load, errors=errors
     )
     gains = _gains(held, smooth)
     for_smooth, for_held = float(np.maximum(gains, 0).sum()), float(np.maximum(-gains, 0).sum())
@@ -174,7 +177,8 @@ def _simplest(
     than chance, what does best first.
     """
     stretches, file = fit.stretches, fit.simulator.numbers
-    scale, n = usual_scale(reference, fit.numbers, stretches), len(file.kp)
+    n = len(file.kp)
+    scale = np.maximum(*(usual_scale(reference, numbers, stretches) for numbers in (file, fit.numbers)))
     count = {"kp": n, "load": len(LOAD_NUMBERS), "offset": n} | ({"delay": n - 1} if n > 1 else {})
 
     def fitted(start: OutputErrorFit, numbers: ServoNumbers, free: Sequence[str], **how: float) -> OutputErrorFit:

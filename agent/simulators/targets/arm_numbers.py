@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +41,8 @@ class JointNumbers:
 
     `inertia` is the least that it turns over its range, rotor included; `kp`, `kv`, `effort` and `delay` [s] are those
     of its position servo, None where no servo is known; it stands `offset` off its set-points, and `closes` says what
-    that makes of a gap; `force` and `asked`: its least and largest force and set-point, None without limits;
+    that makes of a gap; `force` and `asked`: its least and largest force and set-point, None without limits; `solver`:
+    how MuJoCo solves its friction and limits (`SimulatedArm.solver`);
     `interpolation` of a delayed set-point; `stiffness`, `rest`: a spring. Of joints whose axles
     are coupled, `armature`, `damping` and `frictionloss` are those of their own axle.
     """
@@ -66,6 +67,7 @@ class JointNumbers:
     interpolation: str = "linear"
     offset: float = 0.0
     closes: str = ""
+    solver: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -148,8 +150,12 @@ def numbers_of_file(path: Path, joints: Sequence[str] = ()) -> ArmNumbers:
         for joint in numbers.joints
         if joint.force is not None and joint.force[0] != -joint.force[1]
     ]
-    with_reasons = tuple(replace(joint, closes=closes.get(joint.name, "")) for joint in numbers.joints)
-    return replace(numbers, joints=with_reasons, notes=tuple(notes), integrator=simulator.arm.integrator)
+    solvers = simulator.arm.solver or [dict[str, str]()] * len(numbers.joints)
+    whole = tuple(
+        replace(joint, closes=closes.get(joint.name, ""), solver=solver)
+        for joint, solver in zip(numbers.joints, solvers, strict=True)
+    )
+    return replace(numbers, joints=whole, notes=tuple(notes), integrator=simulator.arm.integrator)
 
 
 def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:

@@ -45,6 +45,7 @@ def files(numbers: ArmNumbers, step: float) -> Mapping[str, str]:
         if joint.delay > 0:
             delay = {"nsample": str(samples(joint, step)), "interp": joint.interpolation, "delay": digits(joint.delay)}
             element.attrib.update(delay)
+        elements[joint.name].attrib.update(joint.solver)
         forces = [entry.forces for entry in numbers.left if entry.forces and entry.joints == (joint.name,)]
         passive += _passive(elements[joint.name], joint, forces, step)
     actuator.extend(passive)  # behind the servos, which keep their numbers
