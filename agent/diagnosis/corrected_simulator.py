@@ -11,7 +11,7 @@ from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.simulator_file.released_numbers import (
+from agent.diagnosis.simulator_file.parameter_groups import (
     BEND,
     DELAY,
     GAIN,
@@ -21,9 +21,9 @@ from agent.diagnosis.simulator_file.released_numbers import (
     OWN_DELAY,
     Group,
     drive_groups,
-    gained_load,
     groups_of,
 )
+from agent.diagnosis.simulator_file.released_numbers import gained_load
 from agent.diagnosis.simulator_file.reversals import reversals_as_effects
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import IdentifiedModel

@@ -16,7 +16,8 @@ import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, OFFSET, OWN_DELAY, delay_of, groups_of
+from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, OWN_DELAY, groups_of
+from agent.diagnosis.simulator_file.released_numbers import delay_of
 from agent.diagnosis.sizes import unit_of
 from agent.simulators import Correction
 

@@ -23,12 +23,9 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
-from agent.diagnosis.simulator_file.released_numbers import (
-    ReleasedSimulator,
-    causes_of_numbers,
-    open_numbers,
-    released_fit,
-)
+from agent.diagnosis.simulator_file.numbers_as_causes import causes_of_numbers
+from agent.diagnosis.simulator_file.parameter_groups import open_numbers
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, released_fit
 from agent.diagnosis.simulator_file.servo_table import differing_causes, doubtful_gains
 from agent.diagnosis.verdict import (
     Verdict,

@@ -9,7 +9,8 @@ from hypothesis import given, strategies as st
 from agent.diagnosis.document import Cause
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file import servo_table
-from agent.diagnosis.simulator_file.released_numbers import Group, likely_effects_on
+from agent.diagnosis.simulator_file.numbers_as_causes import likely_effects_on
+from agent.diagnosis.simulator_file.parameter_groups import Group
 from agent.diagnosis.verdict import decide_by_position
 
 NAMES = ("lift", "elbow")

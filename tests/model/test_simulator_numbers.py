@@ -14,7 +14,8 @@ from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, _possible, replacing_numbers, with_expected_error
-from agent.diagnosis.simulator_file.released_numbers import DELAY, GAIN, ReleasedSimulator, release
+from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release
 from agent.diagnosis.verdict import name_causes
 from agent.experiment import open_pairs
 from agent.model import CATALOGUE

@@ -22,16 +22,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
 from agent.diagnosis.position_logs.rows import model_columns
 from agent.diagnosis.rows.candidate import Candidate
-from agent.diagnosis.simulator_file.released_numbers import (
-    DELAY,
-    GAIN,
-    LINK,
-    LOAD,
-    OFFSET,
-    OWN_DELAY,
-    Group,
-    groups_of,
-)
+from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, LINK, LOAD, OFFSET, OWN_DELAY, Group, groups_of
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import CATALOGUE
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, Simulator

@@ -30,16 +30,10 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, assemble, expected_error
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.simulator_file.released_numbers import (
-    DELAY,
-    GAIN,
-    OFFSET,
-    ReleasedSimulator,
-    release,
-    release_all,
-    waterfall,
-)
+from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, release_all
 from agent.diagnosis.simulator_file.reversals import with_reversals
+from agent.diagnosis.simulator_file.waterfall import waterfall
 from agent.diagnosis.verdict import Verdict, causes_of, has_size, keep_supported, name_causes
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import BELOW_ZERO, CATALOGUE, IdentifiedModel

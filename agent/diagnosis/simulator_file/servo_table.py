@@ -13,14 +13,8 @@ from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
-from agent.diagnosis.simulator_file.released_numbers import (
-    DELAY,
-    GAIN,
-    OFFSET,
-    Group,
-    drive_groups,
-    released_fit,
-)
+from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, Group, drive_groups
+from agent.diagnosis.simulator_file.released_numbers import released_fit
 from agent.diagnosis.sizes import jackknife
 from agent.model import CATALOGUE
 

@@ -1,0 +1,197 @@
+"""Released numbers in the vocabulary of effects: which of them are causes, and what may stand in their stead."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from agent.diagnosis.document import Cause, EffectPlace
+from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
+from agent.diagnosis.hypotheses.law import LAW
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
+from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.simulator_file.parameter_groups import (
+    DELAY,
+    GAIN,
+    LINK,
+    OFFSET,
+    OWN_DELAY,
+    Group,
+    groups_of,
+    load_groups,
+)
+from agent.diagnosis.simulator_file.released_numbers import (
+    ReleasedSimulator,
+    delay_of,
+    gained_parameters,
+    released_fit,
+    stepwise_groups,
+)
+from agent.model import CATALOGUE
+
+#: Names of effects by the numbers of a file that they change; the built-in ones last.
+_NAMES = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}
+_ZERO = "zero of the joint"
+
+
+def causes_of_numbers(
+    released: ReleasedSimulator,
+    selected: SelectedCauses,
+    gap: HeldOutGap,
+    doubtful: Collection[int] = (),
+    doubted: Collection[int] = (),
+) -> tuple[Cause, ...]:
+    """The released groups in the vocabulary of effects, what closes most first.
+
+    Of joints with `doubtful` gains, another gain is another friction; `doubted` ones have a remainder.
+    As of every cause, what it closes is what is lost when these numbers alone stay as the file has them and everything
+    else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
+    simulator as given.
+    """
+    model, names = released.given.model, released.given.robot.joint_names
+    base, change = len(model.independent), released.moved.fit.change
+    probability = LAW.certain * min(gap.closure or 0.0, 1.0)
+    causes = list[Cause]()
+    like_load = (EffectPlace(_NAMES["load"], ()),) if _may_be_load(released, selected.causes, gap) else ()
+
+    def closes(*groups: Group) -> float | None:
+        part = gap.closure_without(_without(released, groups, selected.causes))
+        # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes
+        return part if part is None or released.given.servos is None else min(part, 1.0)
+
+    bodies: list[Group] = []
+    for group in _groups_that_cause(released, selected.causes, gap, doubted):
+        joint = () if group.joint < 0 else (names[group.joint],)
+        if load := gained_parameters(released, group):
+            like_links = (EffectPlace(_NAMES["links"], ()),)
+            own_part = _on_joint(released, group, selected.causes, gap)
+            causes.append(Cause(_NAMES["load"], (), closes(group), probability, load, like_links, own_part))
+        elif group.kind == "friction":
+            own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
+            parameters = {f"{form}_change": value for form, value in own.items()}
+            equal = (EffectPlace(_NAMES[GAIN], joint),) if group.joint in doubtful else ()
+            equal = (*equal, *(EffectPlace(name, joint) for name in likely_effects_on(released, selected, group)))
+            own_part = _on_joint(released, group, selected.causes, gap)
+            causes.append(Cause(_NAMES["friction"], joint, closes(group), probability, parameters, equal, own_part))
+        elif group.kind == GAIN and released.given.servos is not None:
+            kp, more = released.given.servos.kp[group.joint], float(change[len(model.values) + group.joint])
+            parameters = {"scale_error": float(kp / (kp + more) - 1)}
+            equal = (*like_load, *((EffectPlace(_NAMES["friction"], joint),) if group.joint in doubtful else ()))
+            own_part = _on_joint(released, group, selected.causes, gap)
+            causes.append(Cause(_NAMES[GAIN], joint, closes(group), probability, parameters, equal, own_part))
+        elif group.kind == OFFSET and released.given.servos is not None:
+            parameters = {"set_point_offset": float(released.given.servos.offsets(change)[group.joint])}
+            alike = _like_offset(released, selected.causes, group, gap)
+            own_part = _on_joint(released, group, selected.causes, gap)
+            causes.append(Cause(_NAMES[OFFSET], joint, closes(group), probability, parameters, alike, own_part))
+        elif group.kind in (DELAY, OWN_DELAY):
+            own_part, delay = _on_joint(released, group, selected.causes, gap), delay_of(released, change, group)
+            causes.append(Cause(_NAMES[DELAY], joint, closes(group), probability, {"delay": delay}, (), own_part))
+        else:
+            bodies.append(group)
+    if bodies:
+        known = np.abs(change[:base]) > LIMITS.deviations * model.standard_deviations[:base]
+        torque = (
+            change[:base] ** 2 * np.diagonal(released.given.fit.gram.sum(axis=0))[:base]
+        )  # what makes most is first
+        parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
+        last = any(group.kind == LINK and group.joint == released.given.robot.load_link for group in bodies)
+        as_load = (EffectPlace(_NAMES["load"], ()),) if last and released.given.servos is not None else ()
+        causes.append(Cause(_NAMES["links"], (), closes(*bodies), probability, parameters, as_load))
+    return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
+
+
+def _groups_that_cause(
+    released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap, doubted: Collection[int]
+) -> list[Group]:
+    """The released groups that may be a cause: all where torque is judged.
+
+    Not numbers of a joint without which, taken back one after the other, it errs no more than a right file does, nor of
+    `doubted` joints, which have a remainder, nor a delay or links without which no joint errs more, or that close most
+    on a doubted one.
+    """
+    if released.given.servos is None:
+        return list(released.groups)
+    fit, kept = released.given.fit, list[Group]()
+    late = [group for group in released.groups if group.kind == DELAY]
+    for of_arm in filter(None, (late, [group for group in released.groups if group.moves_links])):
+        without = rms(gap.beyond(_without(released, of_arm, causes)))
+        closed = (without**2 - (gap.after * gap.unit) ** 2) / fit.sigma.min(axis=0) ** 2
+        if (without >= fit.usual_error).any() and int(np.argmax(closed)) not in doubted:
+            kept += of_arm
+    for joint in sorted(set(range(len(fit.rows))) - set(doubted)):
+        own = [group for group in released.groups if group.joint == joint and not group.moves_links]
+        spared: list[Group] = []
+        while own:  # of numbers that stand in for each other one has to be wrong, not all
+            errors = [rms(gap.beyond(_without(released, [*spared, group], causes))) for group in own]
+            least = min(range(len(own)), key=lambda k: float(errors[k][joint]))
+            if (errors[least] >= fit.usual_error)[joint]:
+                break
+            spared.append(own.pop(least))
+        kept += own
+    return [group for group in released.groups if any(group is other for other in kept)]
+
+
+def _without(released: ReleasedSimulator, groups: Sequence[Group], causes: Sequence[Candidate]) -> np.ndarray:
+    """(S', n) held-out error where some groups stay as the file has them, and everything else is fitted again."""
+    others = [group for group in released.groups if not any(group is kept for kept in groups)]
+    fit = released_fit(released.given, others).with_chosen(causes)
+    return fit.out_of_fold(fit.transient)
+
+
+def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candidate], gap: HeldOutGap) -> float | None:
+    """What a group closes of its own joints' error that all others leave; None where torque is judged."""
+    if released.given.servos is None:
+        return None
+    of_arm = group.joint < 0 or group.moves_links
+    joints = range(len(released.given.fit.rows)) if of_arm else (group.joint,)
+    others = released_fit(released.given, [g for g in released.groups if g is not group]).with_chosen(causes)
+    return gap.closure_on(joints, others.out_of_fold(others.transient))
+
+
+def _like_offset(
+    released: ReleasedSimulator, causes: Sequence[Candidate], group: Group, gap: HeldOutGap
+) -> tuple[EffectPlace, ...]:
+    """What a servo that stands off its set-points may be instead: friction that differs by direction, as by
+    definition, and what leaves as little in its stead: another zero of the joint, or a load."""
+    names, joint = released.given.robot.joint_names, group.joint
+    others = [other for other in released.groups if other is not group]
+    zero = CATALOGUE[_NAMES[_ZERO]]
+    loads = [entry for entry in load_groups(released.given) if (entry.kind, entry.joint) not in released.parts]
+
+    def as_little(fit: Fit) -> bool:
+        error = rms(gap.beyond(fit.out_of_fold(fit.transient)))[joint]
+        return bool(error <= LIMITS.alike * (gap.after * gap.unit)[joint])
+
+    fit = released_fit(released.given, others)
+    with_zero = fit.with_chosen((*causes, *fit.candidates([(zero, (joint,), {})])))
+    loaded = released_fit(released.given, [*others, *loads]).with_chosen(causes)
+    alike = [EffectPlace(name, (names[joint],)) for name in CATALOGUE[_NAMES[OFFSET]].structurally_equivalent]
+    alike += [EffectPlace(zero.name, (names[joint],))] if as_little(with_zero) else []
+    alike += [EffectPlace(_NAMES["load"], ())] if loads and as_little(loaded) else []
+    return tuple(alike)
+
+
+def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap) -> bool:
+    """Whether gains of several servos at once may be a load that all of them carry, as it leaves as little instead."""
+    if sum(group.kind == GAIN for group in released.groups) < 2 or released.given.servos is None:
+        return False
+    known = released.parts
+    pool = [group for group in groups_of(released.given) if group.kind not in (GAIN, LINK)]
+    pool = [group for group in pool if group.kind != OFFSET or (group.kind, group.joint) in known]
+    fit = released_fit(released.given, stepwise_groups(released.given, pool, causes)).with_chosen(causes)
+    error = rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit
+    return bool(np.mean(error**2) <= LIMITS.alike * np.mean(gap.after**2))
+
+
+def likely_effects_on(released: ReleasedSimulator, selected: SelectedCauses, group: Group) -> list[str]:
+    """Effects on a group's joint that the likeliest hypothesis has next to it, too small to be needed: the numbers may
+    have moved for these. None where torque is judged."""
+    if released.given.servos is None:
+        return []
+    named = {cause.key for cause in selected.causes}
+    likeliest = selected.hypotheses[0].places
+    return [name for name, joints in likeliest if joints == (group.joint,) and (name, joints) not in named]

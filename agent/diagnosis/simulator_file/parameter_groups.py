@@ -1,0 +1,165 @@
+"""Groups of a simulator's numbers that are released together: friction, rotor, servo, load or link of a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.diagnosis.limits import LIMITS
+from agent.diagnosis.rows.dataset import Dataset
+from agent.robot import ParameterLayout
+
+#: Kinds of groups of servos.
+GAIN, BEND, OFFSET, DELAY = "servo gain", "bend of damping", "offset of set-points", "delay of the command"
+#: How much more than that of the arm.
+OWN_DELAY = "own delay"
+#: Kinds of groups of links: ten numbers of one, or the mass and first moments of a load at the last.
+LINK, LOAD = "link inertia", "load"
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Parameters released together: `kind` (friction, rotor inertia, of links or of servos), joint from 0
+    (-1: of all), directions (p, k).
+
+    `scale` (k,) are the physical parameters' sizes, standard ones or friction's, of which the directions are images.
+    """
+
+    kind: str
+    joint: int
+    directions: np.ndarray
+    scale: np.ndarray
+
+    @property
+    def moves_links(self) -> bool:
+        """Whether its parameters are inertias of links."""
+        return self.kind in (LINK, LOAD)
+
+    def text(self, names: Sequence[str]) -> str:
+        """Name of the step."""
+        if self.kind == LOAD:
+            return f"{self.kind} at the link of {names[self.joint]}"
+        return f"{self.kind} of {names[self.joint]}" if self.joint >= 0 else self.kind
+
+
+def groups_of(dataset: Dataset) -> list[Group]:
+    """All groups of numbers that may be released, the plainer kinds first.
+
+    Of links the outermost comes first: what is mounted there counts with it.
+    """
+    model, reference = dataset.model, dataset.fit.reference
+    layout, base = ParameterLayout.of(dataset.robot), len(model.independent)
+    torque = np.sqrt(np.mean(np.concatenate([s.predicted[s.kept] for s in dataset.fit.signals]) ** 2, axis=0))
+    stiffness = 1.0 if dataset.servos is None else dataset.servos.kp
+    torque = np.maximum(torque, stiffness * np.sqrt(np.mean(dataset.residual**2, axis=0)))
+    speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
+    scale = reference.prior_std.copy()
+    acceleration = np.concatenate([s.qdd[s.kept] for s in dataset.fit.signals])
+    fast = np.maximum(np.sqrt(np.mean(acceleration**2, axis=0)), 1e-9)
+    # a file's rotor may be wrong by any factor, and of a wrist's inertia it is nearly all
+    scale[layout.rotors] = np.maximum(scale[layout.rotors], torque / fast / dataset.robot.gear_ratios**2)
+    size = len(dataset.fit.precision)
+    friction: list[Group] = []
+    rotors: list[Group] = []
+    links: list[Group] = []
+    for joint in range(dataset.robot.dof):
+        own = [k for k, term in enumerate(model.terms) if term.axle == joint]
+        columns = np.zeros((size, len(own)))
+        for column, k in enumerate(own):
+            level = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
+            columns[base + k, column] = level
+        friction.append(Group("friction", joint, columns, columns[[base + k for k in own], range(len(own))]))
+        for kind, place, groups in (
+            ("rotor inertia", slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
+            (LINK, layout.link(joint), links),
+        ):
+            directions = np.zeros((size, place.stop - place.start))
+            directions[:base] = model.projection[:, place] * scale[place]
+            if np.any(np.abs(directions) > 1e-12):
+                groups.append(Group(kind, joint, directions, scale[place]))
+    return [*friction, *_of_servos(dataset), *rotors, *load_groups(dataset), *reversed(links)]
+
+
+def load_groups(dataset: Dataset) -> list[Group]:
+    """A load at the last link, where positions are judged: next to gains, which it resembles, a link has too many
+    numbers."""
+    if (servos := dataset.servos) is None:
+        return []
+    model, last = dataset.model, dataset.robot.load_link
+    directions = np.zeros((len(servos.covariance), servos.load.shape[1]))
+    directions[: len(model.independent)] = (
+        model.projection[:, ParameterLayout.of(dataset.robot).link(last)] @ servos.load
+    )
+    return [Group(LOAD, last, directions, servos.load[range(4), range(4)])]
+
+
+def _of_servos(dataset: Dataset) -> list[Group]:
+    """The gain of each servo, which may be wrong by any factor, its offset, and what the recorder does to commands."""
+    if (servos := dataset.servos) is None:
+        return []
+    n, first = len(servos.kp), len(dataset.model.values)
+    gains = np.zeros((n, len(servos.covariance), 1))
+    gains[np.arange(n), first + np.arange(n), 0] = servos.kp
+    late = np.zeros((len(servos.covariance), 2 if servos.cut else 1))
+    late[-n:, 0] = servos.delay
+    late[first + n, 1:] = servos.cut
+    free, size = () if servos.kp_known else range(n), np.array([servos.delay])
+    own = servos.delay * np.eye(len(late))[-n:, :, None]
+    return [
+        *(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free),
+        *_offsets(dataset),
+        Group(DELAY, -1, late, np.ones(late.shape[1])),
+        *(Group(OWN_DELAY, j, own[j], size) for j in (() if servos.one_delay else range(n))),
+    ]
+
+
+def _offsets(dataset: Dataset, share: float = 1.0) -> list[Group]:
+    """How far each servo stands off its set-points: by up to a `share` of its torque; none where torque is judged.
+
+    A control of a unit of its own has its zero there instead.
+    """
+    if (servos := dataset.servos) is None:
+        return []
+    n, size = len(servos.kp), len(servos.covariance)
+    columns = share * np.eye(size)[size - 2 * n : size - n] * servos.offset[:, None]
+    return [Group(OFFSET, j, columns[j][:, None], share * servos.offset[j : j + 1]) for j in servos.with_offset]
+
+
+def drive_groups(dataset: Dataset, released: Collection[tuple[str, int]] = ()) -> list[Group]:
+    """Friction, rotor and servo of every joint, the delay, and bends: all groups without links.
+
+    Of offsets the usual ones but where they are `released`, by kind and joint: those are as large as the logs say.
+    """
+    groups = [group for group in groups_of(dataset) if not group.moves_links and group.kind != OFFSET]
+    small = [group for group in usual_offsets(dataset) if (group.kind, group.joint) not in released]
+    large = [group for group in _offsets(dataset) if (group.kind, group.joint) in released]
+    return [*groups, *small, *large, *damping_bends(dataset)]
+
+
+def usual_offsets(dataset: Dataset) -> list[Group]:
+    """Offsets that a right file may have: as little of the torque as it misses anyway."""
+    return _offsets(dataset, LIMITS.least_error)
+
+
+def damping_bends(dataset: Dataset) -> list[Group]:
+    """How much damping of each joint bends with speed, as grease does: no file has it, and no arm is without.
+
+    A straight line takes a bend for Coulomb friction. None where torque is judged.
+    """
+    if (servos := dataset.servos) is None:
+        return []
+    n, size = len(servos.kp), len(servos.covariance)
+    speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
+    viscous = [group.scale[-1] / speed[group.joint] for group in groups_of(dataset) if group.kind == "friction"]
+    columns = np.eye(size)[size - 3 * n : size - 2 * n] * np.array(viscous)[:, None]
+    return [Group(BEND, j, columns[j][:, None], np.array(viscous[j : j + 1])) for j in range(n)]
+
+
+def open_numbers(dataset: Dataset) -> list[Group]:
+    """Bends and usual offsets, and the delay where logs of positions leave open how the command was held: a right file
+    may differ."""
+    late = [group for group in _of_servos(dataset) if group.kind == DELAY]
+    usual = [*damping_bends(dataset), *usual_offsets(dataset)]
+    return [*usual, *(late if dataset.servos is not None and dataset.servos.later else ())]
