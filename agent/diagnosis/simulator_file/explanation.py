@@ -7,9 +7,10 @@ joints; a joint that then stands out has a gap that numbers do not close.
 Three explanations are compared, the simplest first. The numbers are right and one effect explains the gap; or friction
 and rotors are moved, with effects; or links are moved too. The first that stands against those that move more numbers
 is taken (`Explanation.holds_against`): it leaves hardly more, or no more at all where its effects may replace a change
-of links. With links, numbers are chosen in two ways, and the one that leaves less is taken: without an effect, or with
-the effects that are found while all numbers are free, as numbers chosen without an effect move in its stead. Where
-positions are judged, the one with fewest parameters is taken: gains of servos imitate effects, and effects friction.
+of links. With links, numbers are chosen in two ways: without an effect, or with the effects that are found while all
+numbers are free, as numbers chosen without an effect move in its stead. Of the two the one with fewer effects is taken
+if it leaves hardly more, else the one that leaves less. Where positions are judged, the one with fewest parameters is
+taken: gains of servos imitate effects, and effects friction.
 """
 
 from __future__ import annotations
@@ -181,7 +182,11 @@ def explain_rows(dataset: Dataset, without: Sequence[str], progress: Callable[[s
     if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).selected.causes)
-        searches.append(min(search(others), search(everything), key=lambda entry: entry.remaining_error))
+        pair = search(others), search(everything)
+        least = min(entry.remaining_error for entry in pair)
+        most = least if dataset.servos is not None else least + enough  # of positions nearly all of the gap is delay
+        alike = (entry for entry in pair if entry.remaining_error <= most)
+        searches.append(min(alike, key=lambda entry: (len(entry.selected.causes), entry.remaining_error)))
     best = min(entry.remaining_error for entry in searches)
     single = [
         k for k, entry in enumerate(searches[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
