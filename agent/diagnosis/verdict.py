@@ -81,7 +81,7 @@ def decide_by_position(
 
     Most of the gap of a file is often its missing delay, so an effect has its size in what numbers leave. Together they
     have a size too: numbers that moved along a direction that the motion does not tell may close nothing. A gap is
-    where a joint `exceeds` what a right file leaves: no baseline says what of each effect a healthy arm has.
+    where a joint `exceeds` what a right file leaves by chance: no baseline says what of each effect a healthy arm has.
     """
     sized = tuple(sorted((*causes, *numbers), key=lambda cause: -(cause.closure or 0.0)))
     if sized and closure is not None and closure >= LIMITS.least_share:

@@ -151,8 +151,10 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
             for cause in differing_causes(explanation, told)
             if errs[[names.index(name) for name in cause.joints or names]].any()
         ]
-        least = rms(gap.beyond(released_fit(given, open_numbers(given)).out_of_fold()))
-        return decide_by_position(sized, differ, gap.closure, bool((errs & (least >= given.fit.usual_error)).any()))
+        left_open = rms(gap.beyond(released_fit(given, open_numbers(given)).out_of_fold()))
+        beyond_chance = LIMITS.deviations * given.fit.sigma.min(axis=0)  # less tells nothing where nothing is named
+        exceeds_chance = np.minimum(gap.before * gap.unit, left_open) >= beyond_chance
+        return decide_by_position(sized, differ, gap.closure, bool(exceeds_chance.any()))
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     dataset = explanation.dataset
