@@ -110,9 +110,9 @@ def _fitted(
     """The fit, how the command is held if the motion has to tell, and how much later [s] the other way would be.
 
     The likelier way is taken, where the error of each joint is unknown, Π rmse^-N: a recorder holds what it sends, and
-    smooth is what does better beyond chance. An effect on a joint prefers either way, so the motion tells only where
-    joints that prefer the other way count for nothing and commands were not cut; else the other way's delay is possible
-    too. Friction is as soft as the file's, or holds a stationary joint where that does better beyond chance.
+    smooth is what does better beyond chance. The delay of the other way is possible too: a drive that follows with a
+    lag of its own smooths held commands, and an effect on a joint prefers either way. Friction is as soft as the
+    file's, or holds a stationary joint where that does better beyond chance.
     """
     told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
@@ -159,12 +159,8 @@ def _fitted(
     smooth = fit_output_error(
         held.simulator, reference, stretches, file, begin, held.parameters, progress, load=held.load, errors=errors
     )
-    gains = _gains(held, smooth)
-    for_smooth, for_held = float(np.maximum(gains, 0).sum()), float(np.maximum(-gains, 0).sum())
-    taken, how, other = (smooth, SMOOTH, held) if for_smooth - for_held > chance else (held, HELD, smooth)
-    sent = nearest == np.inf  # where commands were cut, what was sent is known near the frames only
-    agreed = abs(gains.sum()) > chance and min(for_smooth, for_held) <= LIMITS.negligible * max(for_smooth, for_held)
-    return taken, how, 0.0 if agreed and sent else float(np.mean(other.numbers.delay - taken.numbers.delay))
+    taken, how, other = (smooth, SMOOTH, held) if _gains(held, smooth).sum() > chance else (held, HELD, smooth)
+    return taken, how, float(np.mean(other.numbers.delay - taken.numbers.delay))
 
 
 def _simplest(
