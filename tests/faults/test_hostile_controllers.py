@@ -53,7 +53,7 @@ END swing
 def test_via_points_that_are_not_followed_end_in_a_stop(bench, name: str):
     """By the arm of six joints: straight lines cannot begin in the pose in which it wakes up."""
     bench._arm = "comau_ns16"
-    controller = bench.serve(wire="cnr_comau")
+    controller = bench.serve(wire="cnr_comau", clock="real")  # in fast time the motion may end before its stop
     bench.program.write_text(AWAY, encoding="utf-8")
     bench.log = bench.folder / "away.mcap"
     assert bench.record().code == 0
