@@ -256,14 +256,11 @@ def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -
     ]
     if how:
         words = {HELD: "held from frame to frame", SMOOTH: "smooth between frames"}
-        text = f"the logs do not say how the command was held; by the motion it is {words[how]}"
-        if later:
-            other, change = words[SMOOTH if how == HELD else HELD], "more" if later > 0 else "less"
-            text = (
-                f"neither logs nor motion tell how the command was held: it is taken as {words[how]}; if it was "
-                f"{other}, the delay is {1e3 * abs(later):.3g} ms {change}"
-            )
-        said.append(text)
+        other, change = words[SMOOTH if how == HELD else HELD], "more" if later > 0 else "less"
+        said.append(
+            f"neither logs nor motion tell how the command was held: it is taken as {words[how]}; if it was {other}, "
+            f"the delay is {1e3 * abs(later):.3g} ms {change}"
+        )
     if (nearest := fit.stretches[0].nearest) < np.inf:
         said.append(
             f"commands were cut to within {nearest:.3g} rad or m of the positions on their way, as a recorder with "
