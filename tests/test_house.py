@@ -42,8 +42,8 @@ def test_a_package_is_imported_through_its_public_names():
     for path in (path for package in PACKAGES for path in _modules(package)):
         own = path.relative_to(ROOT).parts[:2]
         for hit in re.finditer(r"(?m)^ *from (agent\.\w+\.[\w.]+) import", path.read_text("utf-8")):
-            room = hit[1].split(".")
-            if tuple(room[:2]) != own and not ROOT.joinpath(*room, "__init__.pyi").exists():
+            package = hit[1].split(".")
+            if tuple(package[:2]) != own and not ROOT.joinpath(*package, "__init__.pyi").exists():
                 inside.append(f"{path.relative_to(ROOT).as_posix()}: {hit[1]}")
     assert inside == []
 
@@ -141,8 +141,8 @@ def test_search_verdict_and_pages_know_no_effect_by_name():
     """All that is known about an effect is in its class, so that one from outside is treated as the built-in ones."""
     known = {effect.name for effect in CATALOGUE.built_in} | {type(effect).__name__ for effect in CATALOGUE.built_in}
     found = []
-    for room in ("diagnosis", "experiment", "pages", "pipeline", "notebook", "fleet", "cli", "simulators/corrected"):
-        for path, tree in _parsed(f"agent/{room}", rf"\b({'|'.join(known)})\b"):
+    for package in ("diagnosis", "experiment", "pages", "pipeline", "notebook", "fleet", "cli", "simulators/corrected"):
+        for path, tree in _parsed(f"agent/{package}", rf"\b({'|'.join(known)})\b"):
             for node in ast.walk(tree):
                 name = getattr(node, "value", None) if isinstance(node, ast.Constant) else getattr(node, "id", None)
                 if isinstance(name, str) and name in known:

@@ -37,7 +37,7 @@ _CONTRACT = "the definition of the verdict (docs/diagnosis.md)"
 class DecisionLimits:
     """What a verdict promises, and how rows are made, grouped and weighed."""
 
-    # What may be named
+    # What of a file is released
     least_gain: float = known(
         0.02,
         "background energy of all rows",

@@ -88,7 +88,7 @@ class Effect(ABC):
     | `shows_in` | torque, or path (set-points only) |
     | `moves_arm` | whether it changes the motion, not only the measurement |
     | `shapes` | what its torque is a curve over: speed, position, twist, mass. Two effects of one joint share none |
-    | `once` | transient: other logs carry no information on it |
+    | `transient` | happens at one time: other logs carry no information on it |
     | `refined` | nonlinear parameters worth a finer search |
     | `nonlinear` | nonlinear parameters that cost evidence, because the data choose them; None: all |
     | `residual_driven` | its grid follows the residual, so it is chosen anew in every scan |
@@ -221,8 +221,8 @@ class Effect(ABC):
         return {**settings, **values}
 
     def simulator_numbers(self, values: Numbers, load_link: int) -> SimulatorNumbers | None:
-        """What its reported parameters are in the numbers of a simulator's file of an arm with `dof` joints; None where
-        numbers do not say it."""
+        """What its reported parameters are in the numbers of a simulator's file of an arm whose load is at link
+        `load_link` (from 0); None where numbers do not say it."""
         return None
 
     def stepped_parameters(self, values: Numbers, inertia: Sequence[float]) -> dict[str, Any] | None:

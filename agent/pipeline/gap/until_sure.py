@@ -109,7 +109,7 @@ def until_sure(
 
 
 def _end(rounds: Rounds, remaining: float, console: Console) -> str:
-    """Note what the last round found; returns why no further one follows, if so, with `left` [s] of the budget."""
+    """Note what the last round found; returns why no further one follows, if so, with `remaining` [s] of the budget."""
     result = rounds.last.result
     verdict = result["verdict"]
     if rounds.asked:
