@@ -178,8 +178,10 @@ class RigidFit:
         whole, held_out = moments.sum(axis=0), np.empty(moments.shape[:2])
         weights = _fitted(whole, self)[1]
         away = (torque - torque.mean(axis=0)) ** 2
-        for fold, part in enumerate(moments):
-            error = _squared_error(part, _solved(np.tensordot(weights, whole - part, 1), self.precision))
+        products = moments.reshape(*moments.shape[:2], -1)
+        of_folds = (weights @ products).reshape(-1, *moments.shape[2:])
+        for fold, parameters in enumerate(_solved(of_folds.sum(axis=0) - of_folds, self.precision)):
+            error = _squared_error(moments[fold], parameters)
             held_out[fold] = np.minimum(error, away[self.samples.fold == fold].sum(axis=0))
         # a joint without torque says nothing, whatever is fitted
         return np.where(whole[:, -1, -1] > 0, np.maximum(held_out, _LEAST * whole[:, -1, -1] + 1e-300), 1.0)
@@ -220,8 +222,10 @@ def _fitted(moments: np.ndarray, fit: RigidFit, rounds: int = _ROUNDS) -> tuple[
 
 
 def _solved(moments: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """(p,) from the weighted sum of moments (p + 1, p + 1), the prior added."""
-    return solve_scaled(moments[:-1, :-1] + np.diag(precision), moments[:-1, -1])
+    """(…, p) from the weighted sum of moments (…, p + 1, p + 1), the prior added."""
+    matrix = moments[..., :-1, :-1].copy()
+    np.einsum("...ii->...i", matrix)[...] += precision
+    return solve_scaled(matrix, moments[..., :-1, -1])
 
 
 def _squared_error(moments: np.ndarray, parameters: np.ndarray) -> np.ndarray:
@@ -245,11 +249,14 @@ def fitted_gravity(plain: RigidFit) -> np.ndarray:
     )
     rows = [np.dstack([without, s.torque]), *(np.dstack([columns - without, 0 * s.torque]) for columns in along)]
     moments = np.einsum("isna,jsnb->ijnab", rows, rows, optimize=True)
+    first, second = np.triu_indices(len(rows))
+    pairs = np.ascontiguousarray((moments + moments.swapaxes(0, 1))[first, second])
+    once = np.where(first == second, 0.5, 1.0)
 
     def misfit(gravity: np.ndarray, rounds: int = _ROUNDS) -> float:
         """Twice the negative log-likelihood, but for a constant."""
         parts = np.append(1.0, gravity / np.linalg.norm(gravity))
-        weights = _fitted(np.tensordot(np.outer(parts, parts), moments, 2), plain, rounds)[1]
+        weights = _fitted(np.tensordot(once * parts[first] * parts[second], pairs, 1), plain, rounds)[1]
         return -len(s.q) * float(np.log(weights[weights > 0]).sum())
 
     axis = min([*np.eye(3), *-np.eye(3)], key=lambda direction: misfit(direction, 1))

@@ -158,9 +158,10 @@ def log_evidence(total: np.ndarray, prior: Prior, prior_weight: float) -> float:
 
 
 def solve_scaled(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a positive definite system whose unknowns have units of their own."""
-    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return scale * np.linalg.solve(matrix * np.outer(scale, scale), scale * right)
+    """(…, p) solutions of positive definite systems (…, p, p) whose unknowns have units of their own."""
+    scale = 1 / np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 1e-300))
+    unscaled = np.linalg.solve(matrix * (scale[..., :, None] * scale[..., None, :]), (scale * right)[..., None])
+    return scale * unscaled[..., 0]
 
 
 def inverse(matrix: np.ndarray) -> np.ndarray:

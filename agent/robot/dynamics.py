@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -254,11 +254,11 @@ def pinocchio_model(robot: RobotDescription, tool: Tool | None = None) -> pin.Mo
         InputError: a URDF that Pinocchio refuses, or joints that are not one serial chain in the order given.
     """
     try:
-        full = pin.buildModelFromXML(_without_meshes(robot.urdf))
+        full = _rigid_bodies(robot.urdf)
     except Exception as error:  # Pinocchio raises several kinds, all of them the URDF's fault
         raise InputError(f"robot {robot.name}: the URDF cannot be used: {error}") from None
     locked = [full.getJointId(name) for name in list(full.names)[1:] if name not in robot.joint_names]
-    model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
+    model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else pin.Model(full)
     names = tuple(list(model.names)[1:])
     if names != robot.joint_names:
         raise InputError(
@@ -282,6 +282,11 @@ def frame_id(model: pin.Model, name: str) -> int:
     """Index of the frame of a link or, if no link has this name, of a joint: one of each may be called the same."""
     kinds = (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     return next(model.getFrameId(name, kind) for kind in kinds if model.existFrame(name, kind))
+
+
+@lru_cache(maxsize=16)
+def _rigid_bodies(urdf: str) -> pin.Model:
+    return pin.buildModelFromXML(_without_meshes(urdf))
 
 
 def _without_meshes(urdf: str) -> str:
