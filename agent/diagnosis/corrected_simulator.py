@@ -163,18 +163,18 @@ def _with_servos(
     reasons: Mapping[str, str],
 ) -> Correction:
     """Gains, offsets and delays moved by a `change` (p,); damping below zero comes off the servo's: both are one."""
-    data, servos, own = diagnosis.dataset, diagnosis.dataset.servos, correction.given.servos
+    servos, own = diagnosis.dataset.servos, correction.given.servos
     if servos is None or not isinstance(own, PositionServos):
         return correction
-    n, b = len(servos.kp), len(data.model.independent)
-    viscous = correction.given.damping + change[b + 1 : b + 2 * n : 2]
+    viscous = correction.given.damping + change[servos.layout.viscous]
     damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
-    moves = {kind: np.isin(np.arange(n), [g.joint for g in groups if g.kind == kind]) for kind in (GAIN, OFFSET)}
+    every = np.arange(len(servos.kp))
+    moves = {kind: np.isin(every, [g.joint for g in groups if g.kind == kind]) for kind in (GAIN, OFFSET)}
     changed = replace(
         own,
         stiffness=np.where(moves[GAIN], servos.gains(change), servos.kp),
         damping=damping,
-        delay=np.maximum(own.delay + change[-n:], 0.0),
+        delay=np.maximum(own.delay + change[servos.layout.delay], 0.0),
         offset=np.where(moves[OFFSET], servos.offsets(change), own.offset),
     )
     return with_servos(correction, changed, servos.simulated, reasons)

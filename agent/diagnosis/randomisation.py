@@ -40,7 +40,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
         return ()
     fit, released = diagnosis.selected.fit, diagnosis.released
     model, robot, arm = diagnosis.dataset.model, diagnosis.dataset.robot, correction.arm
-    p, b, first = len(diagnosis.dataset.held), len(model.independent), len(model.values)
+    p, b = len(diagnosis.dataset.held), len(model.independent)
     change = fit.fitted()[0]
     groups = [*released.groups]
     groups += [group for group in groups_of(released.given) if (group.kind, group.joint) not in released.parts]
@@ -62,7 +62,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
         at = own.stop
         if group.kind in (GAIN, OFFSET, DELAY, OWN_DELAY) and (servos := diagnosis.dataset.servos) is not None:
             if group.kind == GAIN:
-                value, size = servos.kp[joint] + change[first + joint], group.scale[0]
+                value, size = servos.gains(change)[joint], group.scale[0]
                 result.append(_range(f"actuator of {name}", "kp", value, size * deviation[own][0], "N·m/rad"))
             elif group.kind == OFFSET:
                 value, size = float(servos.offsets(change)[joint]), float(group.scale[0])

@@ -29,9 +29,10 @@ from agent.diagnosis.position_logs.fitting import (
     with_link,
 )
 from agent.diagnosis.position_logs.recording import LinearisedMotion
-from agent.diagnosis.rows.dataset import Dataset, ServoParameters, precision_of
+from agent.diagnosis.rows.dataset import Dataset, precision_of
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of, segments_of
+from agent.diagnosis.rows.servos import PositionLayout, ServoParameters
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import IdentifiedModel, NominalModel
 from agent.recording import Log
@@ -56,21 +57,19 @@ def assemble_positions(
     fitted = replace(fitted, held_out_rmse=error, residual_rmse=error)
     reference = NominalModel(fitted)
     scale = usual_scale(reference, found.numbers, found.stretches)
-    away = np.concatenate(
-        [
-            fitted.base_values - model.base_values,
-            np.stack([found.numbers.friction - given.friction, found.numbers.damping - given.damping], axis=1).ravel(),
-            found.numbers.kp - given.kp,
-            np.zeros(1 + n),
-            found.numbers.offset - given.offset,
-            found.numbers.delay - given.delay,
-        ]
-    )
+    layout = PositionLayout.create(len(model.independent), n)
+    from_file = np.zeros(layout.size)
+    from_file[layout.base] = fitted.base_values - model.base_values
+    from_file[layout.coulomb] = found.numbers.friction - given.friction
+    from_file[layout.viscous] = found.numbers.damping - given.damping
+    from_file[layout.kp] = found.numbers.kp - given.kp
+    from_file[layout.offset] = found.numbers.offset - given.offset
+    from_file[layout.delay] = found.numbers.delay - given.delay
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
     signals = []
     for line, residual, numbers in zip(found.motions, found.residuals, found.columns, strict=True):
         columns, residual = (line.stretch.averaged(x) for x in (model_columns(line, reference, numbers), residual))
-        at_file = residual + columns @ away
+        at_file = residual + columns @ from_file
         for j in range(n):
             rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
         shown = _answer(line), _through_play(line)
@@ -82,16 +81,11 @@ def assemble_positions(
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
     sigma = np.broadcast_to(error, (len(time), n)).copy()
     cell, folds, single = folds_of(time, log, logs)
-    usual = np.concatenate(
-        [
-            np.abs(model.values) + _LEAST * np.abs(model.values).max(),
-            given.kp,
-            [widest_lag(found.stretches)],
-            given.damping,
-            scale[-5 - n : -5],
-            np.full(n, USUAL_DELAY),
-        ]
-    )
+    usual = np.full(layout.size, USUAL_DELAY)
+    usual[: len(model.values)] = np.abs(model.values) + _LEAST * np.abs(model.values).max()
+    usual[layout.kp], usual[layout.bend] = given.kp, given.damping
+    usual[layout.cut] = widest_lag(found.stretches)
+    usual[layout.offset] = scale[-5 - n : -5]
     covariance = np.diag((_EXACT * usual) ** 2)
     index = [np.arange(len(usual))] * n
     block = segments_of(time, log, logs, LIMITS.block)
@@ -108,11 +102,12 @@ def assemble_positions(
     added = simulator.added_inertia(found.numbers)
     lag = widest_lag(found.stretches)
     servos = ServoParameters(
+        layout,
         covariance,
         given.kp,
         USUAL_DELAY,
         file,
-        away,
+        from_file,
         simulator.arm,
         added,
         load_shape(found.load[: len(LOAD_NUMBERS)]) * scale[-4:],
@@ -133,14 +128,18 @@ def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.n
 
     `numbers` (S', n, 6 n + 1) are those of joints and servos (`LinearisedMotion.number_columns`).
     """
-    n = numbers.shape[1]
     base = reference.model.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
-    bodies = line.response.of_torque({j: base[:, j] for j in range(n)})
-    kinds = [numbers[:, :, k * n : (k + 1) * n] for k in range(6)]
-    friction = np.stack([kinds[2], kinds[1]], axis=-1).reshape(*kinds[1].shape[:2], 2 * n)
-    bends = [(qd * np.abs(qd))[:, None] for qd in line.signals.qd.T]
-    bend = np.concatenate([line.response.of_torque({j: torque}) for j, torque in enumerate(bends)], axis=2)
-    return np.concatenate([bodies, friction, kinds[3], numbers[:, :, 6 * n :], bend, kinds[5], kinds[4]], axis=2)
+    speeds, n = line.signals.qd.T, numbers.shape[1]
+    layout = PositionLayout.create(base.shape[2], n)
+    columns = np.zeros((*numbers.shape[:2], layout.size))
+    _, damping, friction, kp, delay, offset, cut = np.split(numbers, np.arange(n, numbers.shape[2], n), axis=2)
+    columns[:, :, layout.coulomb], columns[:, :, layout.viscous] = friction, damping
+    columns[:, :, layout.kp], columns[:, :, layout.cut] = kp, cut
+    columns[:, :, layout.offset], columns[:, :, layout.delay] = offset, delay
+    columns[:, :, layout.base] = line.response.of_torque({j: base[:, j] for j in range(n)})
+    bends = [line.response.of_torque({j: (qd * np.abs(qd))[:, None]}) for j, qd in enumerate(speeds)]
+    columns[:, :, layout.bend] = np.concatenate(bends, axis=2)
+    return columns
 
 
 def _as_given(fit: OutputErrorFit) -> np.ndarray:

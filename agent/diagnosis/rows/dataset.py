@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -14,6 +14,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of, segments_of
 from agent.diagnosis.rows.rounding import rounding_noise
+from agent.diagnosis.rows.servos import ServoParameters
 from agent.diagnosis.rows.standstill import noise_level
 from agent.estimation import (
     DESCRIPTION,
@@ -28,56 +29,7 @@ from agent.estimation import (
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR, SimulatedArm
-
-
-@dataclass(frozen=True, eq=False)
-class ServoParameters:
-    """Parameters of position servos, after those of the model: n of kp [N·m/rad], the cut of commands [rad or m], n of
-    bend of damping, n of offset [rad] and n of delay [s].
-
-    Damping d bends with speed by b: the torque is d v + b v |v|. No file of a simulator has b.
-
-    `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual one; `file`
-    (6, n) the file's kp, damping, armature, friction, delay and offset; the rows are linear about a change `about`
-    (p,). `offset` (n,) [rad] a usual one, and `with_offset` the joints that may have one.
-    `free_error`: (n,) [rad or m] of the arm's free motion with numbers (6, n), as `ServoNumbers.table` has them, and
-    parameters (10,) that the last link gains; `fit_error` (n,) that of the fit.
-    `kp_known`: the file's kp are right. `cut` [rad or m]: how much nearer to the positions commands may have been cut,
-    0 where they were not. `load` (10, 4): what the last link gains by a usual mass and usual first moments of a load
-    there.
-    `later` [s]: the delay may be as much more (less where negative), if the command was held in the other way. `step`
-    [s] of the simulation, which adds inertia `added` (n,) [kg·m²]; `simulated` is the arm whose motion was compared;
-    `one_delay`: all joints have that of the arm.
-    """
-
-    covariance: np.ndarray
-    kp: np.ndarray
-    delay: float
-    file: np.ndarray
-    about: np.ndarray
-    simulated: SimulatedArm
-    added: np.ndarray
-    load: np.ndarray
-    offset: np.ndarray
-    with_offset: tuple[int, ...]
-    free_error: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    fit_error: np.ndarray
-    cut: float = 0.0
-    kp_known: bool = False
-    later: float = 0.0
-    step: float = 0.0
-    one_delay: bool = True
-
-    def gains(self, change: np.ndarray) -> np.ndarray:
-        """(n,) kp [N·m/rad] of the file moved by a change (p,) of all parameters."""
-        n = len(self.kp)
-        return np.asarray(self.kp + change[-(4 * n + 1) : -(3 * n + 1)])
-
-    def offsets(self, change: np.ndarray) -> np.ndarray:
-        """(n,) offsets [rad] of the file moved by a change (p,) of all parameters."""
-        n = len(self.kp)
-        return np.asarray(self.file[-1] + change[-2 * n : -n])
+from agent.simulators import SIMULATOR
 
 
 @dataclass(frozen=True, eq=False)

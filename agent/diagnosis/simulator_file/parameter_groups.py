@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.rows.servos import PositionLayout
 from agent.robot import ParameterLayout
 
 #: Kinds of groups of servos.
@@ -88,10 +89,8 @@ def load_groups(dataset: Dataset) -> list[Group]:
     if (servos := dataset.servos) is None:
         return []
     model, last = dataset.model, dataset.robot.load_link
-    directions = np.zeros((len(servos.covariance), servos.load.shape[1]))
-    directions[: len(model.independent)] = (
-        model.projection[:, ParameterLayout.of(dataset.robot).link(last)] @ servos.load
-    )
+    directions = np.zeros((servos.layout.size, servos.load.shape[1]))
+    directions[servos.layout.base] = model.projection[:, ParameterLayout.of(dataset.robot).link(last)] @ servos.load
     return [Group(LOAD, last, directions, servos.load[range(4), range(4)])]
 
 
@@ -99,20 +98,23 @@ def _of_servos(dataset: Dataset) -> list[Group]:
     """The gain of each servo, which may be wrong by any factor, its offset, and what the recorder does to commands."""
     if (servos := dataset.servos) is None:
         return []
-    n, first = len(servos.kp), len(dataset.model.values)
-    gains = np.zeros((n, len(servos.covariance), 1))
-    gains[np.arange(n), first + np.arange(n), 0] = servos.kp
-    late = np.zeros((len(servos.covariance), 2 if servos.cut else 1))
-    late[-n:, 0] = servos.delay
-    late[first + n, 1:] = servos.cut
-    free, size = () if servos.kp_known else range(n), np.array([servos.delay])
-    own = servos.delay * np.eye(len(late))[-n:, :, None]
+    layout = servos.layout
+    late = np.zeros((layout.size, 2 if servos.cut else 1))
+    late[layout.delay, 0] = servos.delay
+    late[layout.cut, 1:] = servos.cut
+    own_delays = np.full(len(servos.kp), servos.delay)
     return [
-        *(Group(GAIN, j, gains[j], servos.kp[j : j + 1]) for j in free),
+        *([] if servos.kp_known else _one_by_one(GAIN, layout, layout.kp, servos.kp)),
         *_offsets(dataset),
         Group(DELAY, -1, late, np.ones(late.shape[1])),
-        *(Group(OWN_DELAY, j, own[j], size) for j in (() if servos.one_delay else range(n))),
+        *([] if servos.one_delay else _one_by_one(OWN_DELAY, layout, layout.delay, own_delays)),
     ]
+
+
+def _one_by_one(kind: str, layout: PositionLayout, place: slice, scale: np.ndarray) -> list[Group]:
+    """One number of each joint by itself, which lie at `place` and are usually as large as `scale` (n,)."""
+    columns = np.eye(layout.size)[place] * scale[:, None]
+    return [Group(kind, j, columns[j][:, None], scale[j : j + 1]) for j in range(len(scale))]
 
 
 def _offsets(dataset: Dataset, share: float = 1.0) -> list[Group]:
@@ -122,9 +124,8 @@ def _offsets(dataset: Dataset, share: float = 1.0) -> list[Group]:
     """
     if (servos := dataset.servos) is None:
         return []
-    n, size = len(servos.kp), len(servos.covariance)
-    columns = share * np.eye(size)[size - 2 * n : size - n] * servos.offset[:, None]
-    return [Group(OFFSET, j, columns[j][:, None], share * servos.offset[j : j + 1]) for j in servos.with_offset]
+    groups = _one_by_one(OFFSET, servos.layout, servos.layout.offset, share * servos.offset)
+    return [groups[j] for j in servos.with_offset]
 
 
 def drive_groups(dataset: Dataset, released: Collection[tuple[str, int]] = ()) -> list[Group]:
@@ -150,11 +151,9 @@ def damping_bends(dataset: Dataset) -> list[Group]:
     """
     if (servos := dataset.servos) is None:
         return []
-    n, size = len(servos.kp), len(servos.covariance)
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
     viscous = [group.scale[-1] / speed[group.joint] for group in groups_of(dataset) if group.kind == "friction"]
-    columns = np.eye(size)[size - 3 * n : size - 2 * n] * np.array(viscous)[:, None]
-    return [Group(BEND, j, columns[j][:, None], np.array(viscous[j : j + 1])) for j in range(n)]
+    return _one_by_one(BEND, servos.layout, servos.layout.bend, np.array(viscous))
 
 
 def open_numbers(dataset: Dataset) -> list[Group]:

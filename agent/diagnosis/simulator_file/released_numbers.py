@@ -174,7 +174,8 @@ def gained_parameters(released: ReleasedSimulator, group: Group) -> dict[str, fl
 
 def delay_of(released: ReleasedSimulator, change: np.ndarray, group: Group) -> float:
     """The delay [s] of the joint of a group, by which a change (p,) differs from the file, or that of the arm."""
-    late = change[-len(released.given.fit.rows) :]
+    assert released.given.servos is not None
+    late = change[released.given.servos.layout.delay]
     own = [other.joint for other in released.groups if other.kind == OWN_DELAY]
     of_arm = np.setdiff1d(np.arange(len(late)), own)
     return float(late[group.joint] if group.joint >= 0 else late[of_arm].mean() if len(of_arm) else late.mean())

@@ -175,20 +175,17 @@ def _whole_torque(dataset: Dataset) -> np.ndarray:
 
 def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
     """(6, n) in the order of `SERVO_NUMBERS`: those of the file, moved by a change (p,)."""
-    servos, model = dataset.servos, dataset.model
+    servos = dataset.servos
     assert servos is not None
-    n, b = len(servos.kp), len(model.independent)
-    moved = np.zeros(n)
+    layout, moved = servos.layout, np.zeros(len(servos.kp))
     coefficients = _inverse(groups) @ change if groups else np.zeros(0)
     at = 0
     for group in groups:
         if group.kind == "rotor inertia":
             moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
         at += group.directions.shape[1]
-    friction = change[b : b + 2 * n]
-    first = len(model.values)
-    late, offset = change[-n:], change[-2 * n : -n]
-    return servos.file + np.stack([change[first : first + n], friction[1::2], moved, friction[::2], late, offset])
+    kp, damping, friction = change[layout.kp], change[layout.viscous], change[layout.coulomb]
+    return servos.file + np.stack([kp, damping, moved, friction, change[layout.delay], change[layout.offset]])
 
 
 def _deviations(
