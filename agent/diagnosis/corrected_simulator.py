@@ -103,10 +103,9 @@ def _moves_worse(diagnosis: Diagnosis, change: np.ndarray) -> bool:
         return True
     if diagnosis.selected.causes or any(group.kind == LINK for group in released.groups):
         return False
-    kp, damping, armature, friction, delay, offset = servo_numbers(dataset, released.groups, change)
-    possible = [np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay)]
+    numbers = servo_numbers(dataset, released.groups, change).possible
     least = dataset.fit.sigma.min(axis=0)
-    chosen = np.hypot(servos.free_error(np.stack([*possible, offset]), gained_load(released)), least)
+    chosen = np.hypot(servos.free_error(numbers, gained_load(released)), least)
     fitted = np.hypot(servos.fit_error, least)
     return bool(np.sqrt(np.mean((chosen / fitted) ** 2)) > LIMITS.alike)
 
@@ -168,11 +167,11 @@ def _with_servos(
         return correction
     viscous = correction.given.damping + change[servos.layout.viscous]
     damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
-    every = np.arange(len(servos.kp))
+    every = np.arange(len(servos.file.kp))
     moves = {kind: np.isin(every, [g.joint for g in groups if g.kind == kind]) for kind in (GAIN, OFFSET)}
     changed = replace(
         own,
-        stiffness=np.where(moves[GAIN], servos.gains(change), servos.kp),
+        stiffness=np.where(moves[GAIN], servos.gains(change), servos.file.kp),
         damping=damping,
         delay=np.maximum(own.delay + change[servos.layout.delay], 0.0),
         offset=np.where(moves[OFFSET], servos.offsets(change), own.offset),

@@ -69,7 +69,9 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
                 ends = _ends(value, size * deviation[own][0])
                 result.append(Range(f"actuator of {name}", "offset of set-points", value, *ends, "rad"))
             else:
-                value = servos.file[4, joint if joint >= 0 else slice(None)].mean() + delay_of(released, change, group)
+                value = servos.file.delay[joint if joint >= 0 else slice(None)].mean() + delay_of(
+                    released, change, group
+                )
                 owner = f"actuator of {name}" if joint >= 0 else "actuators"
                 result.append(_range(owner, "delay", value, servos.delay * deviation[own][0], "s"))
             continue

@@ -69,6 +69,11 @@ class ServoNumbers:
         """From (6, n) in the order of the fields."""
         return cls(*np.array(table, dtype=float))
 
+    @property
+    def possible(self) -> ServoNumbers:
+        """The nearest numbers that can be: none is below zero but an offset."""
+        return replace(self, **{kind: np.maximum(getattr(self, kind), 0.0) for kind in KINDS if kind != "offset"})
+
 
 #: Kinds of numbers, in the order of `ServoNumbers.table`.
 KINDS = tuple(each.name for each in fields(ServoNumbers))

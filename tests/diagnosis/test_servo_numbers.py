@@ -12,11 +12,12 @@ from agent.diagnosis.simulator_file import servo_table
 from agent.diagnosis.simulator_file.numbers_as_causes import likely_effects_on
 from agent.diagnosis.simulator_file.parameter_groups import Group
 from agent.diagnosis.verdict import decide_by_position
+from agent.simulators import KINDS, ServoNumbers
 
 NAMES = ("lift", "elbow")
-#: Rows of the file's numbers: gain, damping, armature, friction, delay, offset.
-FILE = np.array([[20.0, 20.0], [1.0, 1.0], [0.03, 0.03], [0.05, 0.05], [0.02, 0.02], [0.01, 0.01]])
-TORQUE = np.array([[20.0, 20.0], [1.0, 1.0], [0.1, 0.1], [0.2, 0.2], [0.0, 0.0], [0.05, 0.05]])
+#: Of both joints, in the order of `KINDS`.
+FILE = ServoNumbers(*np.repeat([[0.03], [1.0], [0.05], [20.0], [0.02], [0.01]], 2, axis=1))
+TORQUE = ServoNumbers(*np.repeat([[0.1], [1.0], [0.2], [20.0], [0.0], [0.05]], 2, axis=1)).table
 
 
 def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, **intervals) -> bool:
@@ -26,13 +27,13 @@ def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, 
     """
 
     def given(found, over_gain=False):
-        values = servo_table._over_gain(FILE) if over_gain else FILE
+        values = servo_table._over_gain(FILE.table) if over_gain else FILE.table
         low, high = 0.9 * values, 1.1 * values
         if told != over_gain:
             for kind, (least, most) in intervals.items():
-                row = servo_table.SERVO_NUMBERS.index(kind)
+                row = KINDS.index(kind)
                 low[row, 0], high[row, 0] = least * values[row, 0], most * values[row, 0]
-        return values, low, high
+        return map(ServoNumbers.of_table, (values, low, high))
 
     monkeypatch.setattr(servo_table, "_intervals", given)
     monkeypatch.setattr(servo_table, "_whole_torque", lambda dataset: TORQUE)
@@ -83,7 +84,7 @@ def test_ratios_to_a_gain_that_positions_do_not_tell_are_compared(monkeypatch, e
 def test_another_joint_and_the_whole_arm_are_judged_by_their_own_numbers(monkeypatch):
     assert not named(monkeypatch, "torque_constant", ("elbow",), kp=(1.4, 1.6))
     assert not named(monkeypatch, "time_delay", ())
-    assert named(monkeypatch, "time_delay", (), delay_s=(1.2, 1.4))
+    assert named(monkeypatch, "time_delay", (), delay=(1.2, 1.4))
     assert named(monkeypatch, "payload", ())
 
 
@@ -111,7 +112,7 @@ def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it()
     assert likely_effects_on(released, selected, friction) == []  # type: ignore[arg-type]
 
 
-@given(st.floats(-5, 5), st.floats(1e-3, 5), st.floats(1e-3, 5), st.sampled_from(servo_table.SERVO_NUMBERS))
+@given(st.floats(-5, 5), st.floats(1e-3, 5), st.floats(1e-3, 5), st.sampled_from(KINDS))
 def test_an_interval_holds_its_number_is_possible_and_keeps_its_width_above_it(value, below, above, kind):
     number, low, high = servo_table._possible(kind, value, value - below, value + above)
     assert low <= number <= high

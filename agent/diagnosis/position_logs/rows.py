@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -97,23 +98,21 @@ def assemble_positions(
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
-    file = np.stack([given.kp, given.damping, given.armature, given.friction, given.delay, given.offset])
     simulator = found.simulator
     added = simulator.added_inertia(found.numbers)
     lag = widest_lag(found.stretches)
     servos = ServoParameters(
         layout,
         covariance,
-        given.kp,
         USUAL_DELAY,
-        file,
+        given,
         from_file,
         simulator.arm,
         added,
         load_shape(found.load[: len(LOAD_NUMBERS)]) * scale[-4:],
         scale[-5 - n : -5],
         tuple(np.flatnonzero(simulator.servos.in_unit).tolist()),
-        lambda table, load: _free_error(found, ServoNumbers.of_table(table), load),
+        partial(_free_error, found),
         found.rmse,
         cut=lag if found.stretches[0].nearest < np.inf else 0.0,
         step=simulator.step,

@@ -25,7 +25,7 @@ from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, LINK, LOAD, OFFSET, OWN_DELAY, Group, groups_of
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import CATALOGUE
-from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, Simulator
+from agent.simulators import FreeSimulator, RecordedCommand, Simulator
 
 _FLAT = 1e-6  # of the information on an effect's parameter: its prior
 #: Kinds of numbers that an effect is, by `Effect.numbers`.
@@ -183,11 +183,8 @@ def _line(
 ) -> tuple[LinearisedMotion, np.ndarray]:
     """The simulated motion of the corrected numbers under set-points, linearised, and its columns of these numbers."""
     assert diagnosis.released is not None
-    kp, damping, armature, friction, delay, offset = servo_numbers(
-        diagnosis.dataset, diagnosis.released.groups, diagnosis.released.moved.fit.change
-    )
-    possible = (np.maximum(part, 0.0) for part in (armature, damping, friction, kp, delay))
-    numbers = ServoNumbers.of_table(np.stack([*possible, offset]))
+    change = diagnosis.released.moved.fit.change
+    numbers = servo_numbers(diagnosis.dataset, diagnosis.released.groups, change).possible
     servos = diagnosis.dataset.servos
     assert servos is not None
     free, begins = (

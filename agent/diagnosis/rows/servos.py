@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from agent.simulators import SimulatedArm
+from agent.simulators import ServoNumbers, SimulatedArm
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,10 @@ class PositionLayout:
 class ServoParameters:
     """Parameters of position servos, which `layout` finds in a change (p,) of all parameters.
 
-    `covariance` (p, p) of all parameters as the file has them; `kp` (n,) of the file; `delay` [s] a usual one; `file`
-    (6, n) the file's kp, damping, armature, friction, delay and offset; the rows are linear about a change `about`
-    (p,). `offset` (n,) [rad] a usual one, and `with_offset` the joints that may have one.
-    `free_error`: (n,) [rad or m] of the arm's free motion with numbers (6, n), as `ServoNumbers.table` has them, and
-    parameters (10,) that the last link gains; `fit_error` (n,) that of the fit.
+    `covariance` (p, p) of all parameters as the file has them; `delay` [s] a usual one; `file`: its numbers; the rows
+    are linear about a change `about` (p,). `offset` (n,) [rad] a usual one, and `with_offset` the joints that may have
+    one. `free_error`: (n,) [rad or m] of the arm's free motion with other numbers, and parameters (10,) that the last
+    link gains; `fit_error` (n,) that of the fit.
     `kp_known`: the file's kp are right. `cut` [rad or m]: how much nearer to the positions commands may have been cut,
     0 where they were not. `load` (10, 4): what the last link gains by a usual mass and usual first moments of a load
     there.
@@ -62,16 +61,15 @@ class ServoParameters:
 
     layout: PositionLayout
     covariance: np.ndarray
-    kp: np.ndarray
     delay: float
-    file: np.ndarray
+    file: ServoNumbers
     about: np.ndarray
     simulated: SimulatedArm
     added: np.ndarray
     load: np.ndarray
     offset: np.ndarray
     with_offset: tuple[int, ...]
-    free_error: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    free_error: Callable[[ServoNumbers, np.ndarray], np.ndarray]
     fit_error: np.ndarray
     cut: float = 0.0
     kp_known: bool = False
@@ -81,8 +79,8 @@ class ServoParameters:
 
     def gains(self, change: np.ndarray) -> np.ndarray:
         """(n,) kp [N·m/rad] of the file moved by a change (p,) of all parameters."""
-        return np.asarray(self.kp + change[self.layout.kp])
+        return np.asarray(self.file.kp + change[self.layout.kp])
 
     def offsets(self, change: np.ndarray) -> np.ndarray:
         """(n,) offsets [rad] of the file moved by a change (p,) of all parameters."""
-        return np.asarray(self.file[-1] + change[self.layout.offset])
+        return np.asarray(self.file.offset + change[self.layout.offset])

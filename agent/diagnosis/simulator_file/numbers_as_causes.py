@@ -78,7 +78,7 @@ def causes_of_numbers(
             causes.append(Cause(_NAMES["friction"], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == GAIN and released.given.servos is not None:
             servos, j = released.given.servos, group.joint
-            parameters = {"scale_error": float(servos.kp[j] / servos.gains(change)[j] - 1)}
+            parameters = {"scale_error": float(servos.file.kp[j] / servos.gains(change)[j] - 1)}
             equal = (*like_load, *((EffectPlace(_NAMES["friction"], joint),) if group.joint in doubtful else ()))
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(_NAMES[GAIN], joint, closes(group), probability, parameters, equal, own_part))

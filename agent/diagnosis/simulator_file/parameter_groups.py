@@ -53,7 +53,7 @@ def groups_of(dataset: Dataset) -> list[Group]:
     model, reference = dataset.model, dataset.fit.reference
     layout, base = ParameterLayout.of(dataset.robot), len(model.independent)
     torque = np.sqrt(np.mean(np.concatenate([s.predicted[s.kept] for s in dataset.fit.signals]) ** 2, axis=0))
-    stiffness = 1.0 if dataset.servos is None else dataset.servos.kp
+    stiffness = 1.0 if dataset.servos is None else dataset.servos.file.kp
     torque = np.maximum(torque, stiffness * np.sqrt(np.mean(dataset.residual**2, axis=0)))
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
     scale = reference.prior_std.copy()
@@ -102,9 +102,9 @@ def _of_servos(dataset: Dataset) -> list[Group]:
     late = np.zeros((layout.size, 2 if servos.cut else 1))
     late[layout.delay, 0] = servos.delay
     late[layout.cut, 1:] = servos.cut
-    own_delays = np.full(len(servos.kp), servos.delay)
+    own_delays = np.full(len(servos.file.kp), servos.delay)
     return [
-        *([] if servos.kp_known else _one_by_one(GAIN, layout, layout.kp, servos.kp)),
+        *([] if servos.kp_known else _one_by_one(GAIN, layout, layout.kp, servos.file.kp)),
         *_offsets(dataset),
         Group(DELAY, -1, late, np.ones(late.shape[1])),
         *([] if servos.one_delay else _one_by_one(OWN_DELAY, layout, layout.delay, own_delays)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,17 @@ from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET,
 from agent.diagnosis.simulator_file.released_numbers import released_fit
 from agent.diagnosis.sizes import jackknife
 from agent.model import CATALOGUE
+from agent.simulators import KINDS, ServoNumbers
 
-#: Kinds of numbers, in the order of a result.
+#: Keys of a result, in its order: kinds of numbers, the delay with its unit.
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s", "offset")
 #: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
-_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay_s",), OFFSET: ("offset",)}
+_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay",), OFFSET: ("offset",)}
 _LEAST_GAIN = 1e-9  # numerical: N·m/rad
 _RATIOS = ("damping", "armature", "friction")
-_OF_GAIN, _DELAY = SERVO_NUMBERS[:4], SERVO_NUMBERS.index("delay_s")
+_OF_GAIN = ("kp", *_RATIOS)
+#: Rows of a table: the gain's, and (6, 1) whether one is `_OF_GAIN`.
+_GAIN, _SCALES = KINDS.index("kp"), np.isin(KINDS, _OF_GAIN)[:, None]
 
 
 def doubtful_gains(found: Explanation) -> tuple[int, ...]:
@@ -36,7 +40,7 @@ def doubtful_gains(found: Explanation) -> tuple[int, ...]:
     if found.dataset.servos is None:
         return ()
     values, low, high = _intervals(found)
-    return tuple(np.flatnonzero(high[0] - low[0] > 2 * (LIMITS.alike - 1) * values[0]).tolist())
+    return tuple(np.flatnonzero(high.kp - low.kp > 2 * (LIMITS.alike - 1) * values.kp).tolist())
 
 
 def servo_table(found: Explanation) -> dict[str, Any]:
@@ -56,21 +60,19 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     assert servos is not None
     doubtful = doubtful_gains(found)
     values, low, high = _intervals(found)
-    of_step = 0.5 * servos.step * values[1]
-    low[SERVO_NUMBERS.index("armature")] -= of_step
-    high[SERVO_NUMBERS.index("armature")] += of_step
+    of_step = 0.5 * servos.step * values.damping
+    low, high = replace(low, armature=low.armature - of_step), replace(high, armature=high.armature + of_step)
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
-    for kind, row, least, most in zip(SERVO_NUMBERS, values, low, high, strict=True):
-        table[kind] = tuple(
-            None if kind in _OF_GAIN and k in doubtful else _possible(kind, row[k], least[k], most[k])
-            for k in range(len(names))
-        )
+    for key in SERVO_NUMBERS:
+        kind, unknown = key.removesuffix("_s"), doubtful if key in _OF_GAIN else ()
+        ends = np.stack([getattr(numbers, kind) for numbers in (values, low, high)], axis=1)
+        table[key] = tuple(None if k in unknown else _possible(kind, *ends[k]) for k in range(len(names)))
     scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
     told: dict[str, Any] = {"servo": table, "scale_from": scale}
     if doubtful:
-        ratios = np.stack(_intervals(found, over_gain=True), axis=2)
+        ratios = np.stack([numbers.table for numbers in _intervals(found, over_gain=True)], axis=2)
         told["servo_over_kp"] = {
-            kind: tuple(_possible(kind, *row) for row in ratios[SERVO_NUMBERS.index(kind)]) for kind in _RATIOS
+            kind: tuple(_possible(kind, *row) for row in ratios[KINDS.index(kind)]) for kind in _RATIOS
         }
     return told
 
@@ -85,8 +87,8 @@ def _possible(kind: str, value: float, low: float, high: float) -> tuple[float, 
     return float(value) + shift, max(float(low) + shift, least), float(high) + shift
 
 
-def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.ndarray, ...]:
-    """(6, n) value, low and high of the numbers, with all drives free and links that moved.
+def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[ServoNumbers, ServoNumbers, ServoNumbers]:
+    """Value, low and high of the numbers, with all drives free and links that moved.
 
     The delay's holds both ways in which the command may have been held. Numbers over the gain of their joint are
     x / k ≈ r + (Δx - r Δk) / k about those that the rows are linear about, so that any gain along them is one ratio.
@@ -95,30 +97,31 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[np.nd
     assert dataset.servos is not None
     groups = drive_groups(dataset, explanation.released.parts)
     drives = [*groups, *(group for group in explanation.released.groups if group.moves_links)]
-    about = servo_numbers(dataset, drives, dataset.servos.about)
+    about = servo_numbers(dataset, drives, dataset.servos.about).table
 
     def form(numbers: np.ndarray) -> np.ndarray:
         if not over_gain:
             return numbers
         ratios, change = _over_gain(about), numbers - about
-        moved = (change[:4] - ratios[:4] * change[0]) / np.maximum(about[0], _LEAST_GAIN)
-        return np.concatenate([ratios[:4] + moved, numbers[4:]])
+        moved = (change - ratios * change[_GAIN]) / np.maximum(about[_GAIN], _LEAST_GAIN)
+        return np.where(_SCALES, ratios + moved, numbers)
 
-    values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0])
+    values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0]).table
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
-    free = servo_numbers(dataset, drives, wide.fitted()[0])
+    free = servo_numbers(dataset, drives, wide.fitted()[0]).table
     p, normal = len(dataset.held), float(ndtri((1 + LAW.certain) / 2))
     covariance = explanation.search.evidence.covariance(wide)
     spread = normal * _deviations(dataset, drives, covariance[:p, :p], free, form)
     for folds in (wide.folds, wide.single_folds):
-        without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0])) for fold in folds]
+        without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0]).table) for fold in folds]
         spread = np.maximum(spread, jackknife(np.stack(without)))
-    spread[_DELAY] += 0.5 * dataset.servos.step
+    delay = KINDS.index("delay")
+    spread[delay] += 0.5 * dataset.servos.step
     values, free = form(values), form(free)
     low, high = np.minimum(values, free) - spread, np.maximum(values, free) + spread
-    low[_DELAY] += min(dataset.servos.later, 0.0)
-    high[_DELAY] += max(dataset.servos.later, 0.0)
-    return values, low, high
+    low[delay] += min(dataset.servos.later, 0.0)
+    high[delay] += max(dataset.servos.later, 0.0)
+    return ServoNumbers.of_table(values), ServoNumbers.of_table(low), ServoNumbers.of_table(high)
 
 
 def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
@@ -129,11 +132,11 @@ def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]
     """
     dataset, names = found.dataset, found.dataset.robot.joint_names
     assert dataset.servos is not None
-    doubtful, file = doubtful_gains(found), dataset.servos.file
+    doubtful, file = doubtful_gains(found), dataset.servos.file.table
     usual = LIMITS.least_error * _whole_torque(dataset)
 
     def holds(form: Callable[[np.ndarray], np.ndarray], over_gain: bool) -> np.ndarray:
-        _, low, high = _intervals(found, over_gain)
+        _, low, high = (numbers.table for numbers in _intervals(found, over_gain))
         more = np.abs(form(file + usual) - form(file))
         return np.asarray((low - more <= form(file)) & (form(file) <= high + more))
 
@@ -147,7 +150,7 @@ def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]
             open_gain = joint in doubtful
             holding = (as_ratio if open_gain else told)[:, joint]
             of_joint = _RATIOS if open_gain and numbers == GAIN else kinds
-            known += [bool(holding[SERVO_NUMBERS.index(kind)]) for kind in of_joint]
+            known += [bool(holding[KINDS.index(kind)]) for kind in of_joint]
         return not known or not all(known)
 
     return [cause for cause in causes if differs(cause)]
@@ -155,37 +158,37 @@ def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]
 
 def _over_gain(numbers: np.ndarray) -> np.ndarray:
     """Numbers (6, n) but delay and offset over the gain of their joint."""
-    return np.concatenate([numbers[:4] / np.maximum(numbers[0], _LEAST_GAIN), numbers[4:]])
+    return np.where(_SCALES, numbers / np.maximum(numbers[_GAIN], _LEAST_GAIN), numbers)
 
 
 def _whole_torque(dataset: Dataset) -> np.ndarray:
     """(6, n) of each number what would take all of its joint's torque; of a delay nothing."""
-    whole = np.zeros((len(SERVO_NUMBERS), dataset.robot.dof))
+    whole = ServoNumbers.of_table(np.zeros((len(KINDS), dataset.robot.dof)))
     for group in drive_groups(dataset):
         if group.kind == "friction":
-            whole[3, group.joint], whole[1, group.joint] = group.scale
+            whole.friction[group.joint], whole.damping[group.joint] = group.scale
         elif group.kind == GAIN:
-            whole[0, group.joint] = group.scale[0]
+            whole.kp[group.joint] = group.scale[0]
         elif group.kind == "rotor inertia":
-            whole[2, group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
+            whole.armature[group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
     assert dataset.servos is not None
-    whole[5] = dataset.servos.offset
-    return whole
+    return replace(whole, offset=dataset.servos.offset).table
 
 
-def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> np.ndarray:
-    """(6, n) in the order of `SERVO_NUMBERS`: those of the file, moved by a change (p,)."""
+def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> ServoNumbers:
+    """Those of the file, moved by a change (p,)."""
     servos = dataset.servos
     assert servos is not None
-    layout, moved = servos.layout, np.zeros(len(servos.kp))
+    layout, moved = servos.layout, np.zeros(len(servos.file.kp))
     coefficients = _inverse(groups) @ change if groups else np.zeros(0)
     at = 0
     for group in groups:
         if group.kind == "rotor inertia":
             moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
         at += group.directions.shape[1]
-    kp, damping, friction = change[layout.kp], change[layout.viscous], change[layout.coulomb]
-    return servos.file + np.stack([kp, damping, moved, friction, change[layout.delay], change[layout.offset]])
+    damping, friction, kp = change[layout.viscous], change[layout.coulomb], change[layout.kp]
+    more = ServoNumbers(moved, damping, friction, kp, change[layout.delay], change[layout.offset])
+    return ServoNumbers.of_table(servos.file.table + more.table)
 
 
 def _deviations(
@@ -196,8 +199,9 @@ def _deviations(
     form: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """(6, n) standard deviations of a form of the numbers about `free`, from the covariance (p, p) of the change."""
-    p, base = len(covariance), servo_numbers(dataset, groups, np.zeros(len(covariance)))
-    slopes = np.stack([(servo_numbers(dataset, groups, column) - base).ravel() for column in np.eye(p)], axis=1)
+    base = servo_numbers(dataset, groups, np.zeros(len(covariance))).table
+    moved = (servo_numbers(dataset, groups, column).table - base for column in np.eye(len(covariance)))
+    slopes = np.stack([change.ravel() for change in moved], axis=1)
     of_numbers = slopes @ covariance @ slopes.T
     own = np.sqrt(np.maximum(np.diag(of_numbers), 0.0))
     step = np.where(own > 0, own, 1.0)
