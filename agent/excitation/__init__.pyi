@@ -1,4 +1,4 @@
-from .candidates import Candidates as Candidates, Loop as Loop, LoopProblem as LoopProblem, via_joints as via_joints
+from .candidates import Candidates as Candidates, Loop as Loop, LoopProblem as LoopProblem
 from .criterion import Criterion as Criterion
 from .genetic import LoopScore as LoopScore, ranking as ranking
 from .loop_search import search as search

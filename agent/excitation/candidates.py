@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -71,13 +71,21 @@ class LoopProblem:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """One cycle: its genome (6 K,), via-points (K, 4, 4), start (n,) at the first of them, moves and set-points."""
+    """One cycle: its genome (6 K,), via-points (K, 4, 4), joints (K, n) there, moves and set-points.
+
+    The joints are on the branch that the cycle passes the via-points on.
+    """
 
     genome: np.ndarray
     poses: np.ndarray
-    start: np.ndarray
+    joints: np.ndarray
     moves: tuple[Move, ...]
     trajectory: Trajectory = field(repr=False)
+
+    @property
+    def start(self) -> np.ndarray:
+        """(n,) joints where it begins and ends."""
+        return np.asarray(self.joints[0])
 
 
 class Candidates:
@@ -135,7 +143,7 @@ class Candidates:
                 continue
             moves = loop_moves(points, self.problem.settings, q if self._redundant else None)
             try:
-                loops.append(Loop(genome, points, q[0], moves, self._interpolator.plan(moves, q[0])))
+                loops.append(Loop(genome, points, q, moves, self._interpolator.plan(moves, q[0])))
             except (MotionError, KinematicsError) as error:
                 loops.append(error)
         return loops if self._redundant else self._reaching(loops)
@@ -169,19 +177,25 @@ class Candidates:
     def _reaching(
         self, loops: list[Loop | MotionError | KinematicsError]
     ) -> list[Loop | MotionError | KinematicsError]:
-        """The same loops, but for those with a via-point where the arm itself cannot be."""
+        """The same loops with joints at all via-points, but for those with one where the arm itself cannot be.
+
+        A blend may pass by such a point; no controller takes it as a target.
+        """
         planned = [loop for loop in loops if isinstance(loop, Loop)]
         if not planned:
             return loops
         poses, seeds = (
             np.concatenate(parts) for parts in zip(*((loop.poses[1:], _passing(loop)) for loop in planned), strict=True)
         )
-        reachable = iter(self.kinematics.find(poses, seeds)[1].reshape(len(planned), -1))
+        joints, reachable = self.kinematics.find(poses, seeds)
+        others = zip(np.split(joints, len(planned)), np.split(reachable, len(planned)), strict=True)
 
         def checked(loop: Loop) -> Loop | KinematicsError:
-            reached = next(reachable)
+            q, reached = next(others)
             k = int(reached.argmin())
-            return loop if reached[k] else self.kinematics.refusal(loop.poses[k + 1], _passing(loop)[k])
+            if not reached[k]:
+                return self.kinematics.refusal(loop.poses[k + 1], _passing(loop)[k])
+            return replace(loop, joints=np.vstack([loop.joints, q]))
 
         return [checked(loop) if isinstance(loop, Loop) else loop for loop in loops]
 
@@ -255,17 +269,6 @@ class Candidates:
         """
         overload = self._limits.overload(*tenth, None if regressor is None else (self._standard @ regressor).T)
         return None if overload is None else infeasible(*overload)
-
-
-def via_joints(kinematics: Kinematics, loop: Loop) -> list[np.ndarray]:
-    """Joints (n,) at every via-point of a loop, on the branch that it passes them on.
-
-    A blend may pass by a point where the arm itself cannot be; no controller takes that point as a target.
-
-    Raises:
-        KinematicsError: such a point.
-    """
-    return [loop.start, *kinematics.solve_each(loop.poses[1:], _passing(loop))]
 
 
 def _passing(loop: Loop) -> np.ndarray:

@@ -1,5 +1,5 @@
 from .effect_inputs import MotionSignals as MotionSignals, NominalModel as NominalModel
-from .effect_prediction import effect_torque as effect_torque
+from .effect_prediction import effect_torque as effect_torque, known_effects as known_effects
 from .effects import CATALOGUE as CATALOGUE
 from .effects.base_tilt import across as across
 from .effects.effect import (

@@ -53,3 +53,12 @@ def effect_torque(
             f"the model's effect {entry.effect} gives no finite torque with {parameters}: estimate it again"
         )
     return total
+
+
+def known_effects(model: RigidFrictionModel, signals: MotionSignals) -> np.ndarray:
+    """Filtered torque (S', n) of the effects that the model has already."""
+    total = np.zeros(signals.q.shape)
+    motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}
+    for entry in model.effects:
+        total = total + effect_torque(model, entry, motion)
+    return signals.low_pass(total)

@@ -11,7 +11,7 @@ from typing import Any
 from agent.core import AgentError, Console, ControllerError, InputError, counted, sha256_file
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
 from agent.pipeline.ending import ending_text, resume_advice
-from agent.pipeline.loop_program import LoopMotion, program_text
+from agent.pipeline.loop_program import LoopMotion
 from agent.pipeline.plan import Plan
 from agent.pipeline.reports import refresh_index
 from agent.recipe import Recipe
@@ -145,7 +145,7 @@ class Job:
         programs, start = [], link.position()
         for motion in motions:
             path = f"{motion.name}{self.recipe.dialect.suffix}"
-            programs.append(link.plan(program_text(self.recipe, motion), path, start))
+            programs.append(link.plan(motion.program, path, start))
             start = programs[-1].chains[-1].q[-1]
         return programs
 

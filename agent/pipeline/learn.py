@@ -27,7 +27,6 @@ from agent.motion import (
     way_key,
 )
 from agent.pipeline.checked_logs import check_one_machine, read_logs
-from agent.pipeline.loop_program import program_text
 from agent.pipeline.plan import replan
 from agent.pipeline.rebuilt_report import recipe_of
 from agent.recording import Log
@@ -165,7 +164,7 @@ def _of_the_plan(log: Log) -> str:
         recipe = recipe_of(folder)
         for number, motion in enumerate(replan(recipe, folder / "plan.json").validation, 1):
             if log.path.stem == f"validation_{number:02d}":
-                return program_text(recipe, motion)
+                return motion.program
     raise InputError(
         f"{log.path}: the recorded program is missing; put it next to the log as {log.path.stem}.pdl "
         "(a run folder has it)"

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
-import numpy as np
-
-from agent.excitation import Loop, via_joints
+from agent.excitation import Loop
 from agent.link import APPROACH_SPEED
 from agent.motion import CartesianTarget, JointTarget, LoopProgram, Target, with_frames
 from agent.recipe import Recipe
@@ -17,34 +16,29 @@ from agent.robot import kinematics_for
 class LoopMotion:
     """A loop that will be run `cycles` times at `speed` [m/s]. `kind` is `excitation` or `validation`."""
 
+    recipe: Recipe
     name: str
     kind: str
     loop: Loop
     speed: float
     cycles: int
 
-
-def program_text(recipe: Recipe, motion: LoopMotion) -> str:
-    """Program of a planned motion. It sets every frame, so earlier programs do not change its meaning."""
-    settings = with_frames(recipe.motion.settings_at(motion.speed), recipe.tool)
-    approach = settings.changed(speed_override=APPROACH_SPEED)
-    points = _targets(recipe, motion.loop)
-    start = JointTarget(np.asarray(motion.loop.start, dtype=float))
-    loop = LoopProgram.of(points, settings, motion.cycles, approach, start)
-    return recipe.dialect.write_loop(motion.name, loop, recipe.robot)
+    @cached_property
+    def program(self) -> str:
+        """Its text in the language of the controller. It sets every frame, so earlier programs do not change it."""
+        recipe = self.recipe
+        settings = with_frames(recipe.motion.settings_at(self.speed), recipe.tool)
+        approach = settings.changed(speed_override=APPROACH_SPEED)
+        start = JointTarget(self.loop.start)
+        loop = LoopProgram.of(_targets(recipe, self.loop), settings, self.cycles, approach, start)
+        return recipe.dialect.write_loop(self.name, loop, recipe.robot)
 
 
 def _targets(recipe: Recipe, loop: Loop) -> list[Target]:
-    """Via-points for a controller: poses with configuration flags if the arm has them, else joint positions."""
+    """Via-points for a controller: poses with configuration flags, of a redundant arm joint positions."""
     if isinstance(loop.moves[0].target, JointTarget):
-        *flown, closing = (move.target for move in loop.moves)
-        return [closing, *flown]
+        return [JointTarget(q) for q in loop.joints]
     kinematics = kinematics_for(recipe.robot, recipe.tool)
-    passed = via_joints(kinematics, loop)
-    if not hasattr(kinematics, "solve_configuration"):
-        return [JointTarget(position) for position in passed]
-
     return [
-        CartesianTarget(pose, kinematics.configuration_text(position))
-        for pose, position in zip(loop.poses, passed, strict=True)
+        CartesianTarget(pose, kinematics.configuration_text(q)) for pose, q in zip(loop.poses, loop.joints, strict=True)
     ]

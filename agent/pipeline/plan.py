@@ -12,7 +12,7 @@ import numpy as np
 from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search
 from agent.link import check_cell
-from agent.pipeline.loop_program import LoopMotion, program_text
+from agent.pipeline.loop_program import LoopMotion
 from agent.pipeline.sub_region import moving_part, via_regions
 from agent.recipe import Recipe
 from agent.runs import RunFolder, keep_loop
@@ -41,7 +41,7 @@ def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
         for name, key in {"plan.json": "plan", file: "program"}.items():
             run.check_file(name, run.state.get(key))
         plan = replan(recipe, run.file("plan.json"))
-        if sha256_text(program_text(recipe, plan.excitation)) != run.state["program"]:
+        if sha256_text(plan.excitation.program) != run.state["program"]:
             raise InputError(
                 f"{run.path}: plan.json does not lead to the program that was planned; was the agent updated since? "
                 "Start a new run"
@@ -50,7 +50,7 @@ def plan_once(recipe: Recipe, run: RunFolder, console: Console) -> Plan:
     plan = make_plan(recipe, console)
     genomes = [motion.loop.genome.tolist() for motion in plan.validation]
     planned = run.write_json("plan.json", {"schema": "plan/1", "search": plan.search, "validation": genomes})
-    program = run.write_text(file, program_text(recipe, plan.excitation))
+    program = run.write_text(file, plan.excitation.program)
     run.note(
         plan=sha256_file(planned),
         program=sha256_file(program),
@@ -106,8 +106,7 @@ def search_loop(
     duration = loop.trajectory.duration
     console.say(f"  fitness {result.fitness:.2f} from {result.evaluated} candidates; a cycle takes {duration:.1f} s")
     motion = _excitation(recipe, loop)
-    text = program_text(recipe, motion)
-    keep_loop(recipe, loop.genome, loop.poses, loop.start, result.fitness, motion.name, text)
+    keep_loop(recipe, loop.genome, loop.poses, loop.start, result.fitness, motion.name, motion.program)
     return motion, result.to_dict()
 
 
@@ -145,12 +144,12 @@ def replan(recipe: Recipe, path: Path) -> Plan:
 
 
 def _excitation(recipe: Recipe, loop: Loop) -> LoopMotion:
-    return LoopMotion("excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
+    return LoopMotion(recipe, "excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
 
 
 def _validation(recipe: Recipe, loops: Sequence[Loop]) -> Iterator[LoopMotion]:
     for number, loop in enumerate(loops, 1):
-        yield LoopMotion(f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
+        yield LoopMotion(recipe, f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
 
 
 def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:

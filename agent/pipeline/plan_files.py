@@ -9,7 +9,7 @@ from typing import Any
 from agent.core import Console, InputError, TaskEngine, write_atomically
 from agent.link import check_cell
 from agent.pages import ShownLoop, plan_report
-from agent.pipeline.loop_program import LoopMotion, program_text
+from agent.pipeline.loop_program import LoopMotion
 from agent.pipeline.plan import search_loop
 from agent.recipe import Recipe
 from agent.runs import make_folder, write_json
@@ -78,7 +78,7 @@ def plan_recipe(recipe: Recipe, folder: Path, console: Console, engine: TaskEngi
         if made:
             folder.rmdir()
         raise
-    text, loop = program_text(recipe, motion), shown_loop(recipe, motion)
+    text, loop = motion.program, shown_loop(recipe, motion)
     files = PlanFiles(folder, f"program{recipe.dialect.suffix}", loop, search)
     for name, content in {files.program: text, **recipe.dialect.messages(text)}.items():
         write_atomically(folder / name, content)

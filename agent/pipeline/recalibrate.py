@@ -24,7 +24,7 @@ from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.job import EXCITATION, Job, Outcome
-from agent.pipeline.loop_program import LoopMotion, program_text
+from agent.pipeline.loop_program import LoopMotion
 from agent.pipeline.plan import loop_problem
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
 from agent.pipeline.result import conditions, gate_decision, gate_figures, provenance_of, temperatures
@@ -228,8 +228,8 @@ def check_loop(recipe: Recipe, loop: StoredLoop) -> None:
         own = Candidates(loop_problem(recipe, recipe.motion.speed)).loop(np.array(loop.genome))
     except InputError as error:
         raise InputError(f"{recipe.path}: {refused}: {error}; {advice}") from None
-    motion = LoopMotion(loop.program_name, "excitation", own, recipe.motion.speed, 1)
-    approach, *cycle = moves(program_text(recipe, motion))
+    motion = LoopMotion(recipe, loop.program_name, "excitation", own, recipe.motion.speed, 1)
+    approach, *cycle = moves(motion.program)
     planned_moves = moves(loop.program)
     expected = chain([approach], chain.from_iterable(repeat(cycle)))
     for number, (move, wanted) in enumerate(zip(planned_moves, islice(expected, len(planned_moves)), strict=True)):

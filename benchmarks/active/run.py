@@ -28,7 +28,6 @@ from agent.experiment.next_motion import RunnablePieces
 from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
 from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next
-from agent.pipeline.loop_program import program_text
 from agent.pipeline.plan import Plan, loop_problem, make_plan
 from agent.recipe import Recipe, load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
@@ -164,7 +163,7 @@ class ActiveRun:
         if way == "loop_again":
             cycle = self._plan.excitation.loop.trajectory.duration
             again = replace(self._plan.excitation, name="further", cycles=max(1, round(seconds / cycle)))
-            return WayMotion(program_text(self._recipe, again), again.cycles * cycle)
+            return WayMotion(again.program, again.cycles * cycle)
         pick = as_drawn
         if way == "d_optimal_pieces":
             pick = d_optimal(
@@ -187,7 +186,7 @@ class ActiveRun:
     @cached_property
     def _texts(self) -> dict[str, str]:
         """Programs of the first motions."""
-        return _programs(self._recipe, self._plan)
+        return _programs(self._plan)
 
     @property
     def _first_logs(self) -> list[Path]:
@@ -199,7 +198,7 @@ class ActiveRun:
         path = self._machine.with_suffix(".json")
         if not path.exists():
             recipe = _short(self._recipe, self._case.machine, 2)
-            texts = _programs(recipe, make_plan(recipe, _QUIET))
+            texts = _programs(make_plan(recipe, _QUIET))
             logs = self._record((), texts, list(texts), self._machine)
             estimate(recipe.robot, [read_log(log, recipe.robot) for log in logs]).save(path)
         return IdentifiedModel.load(path)
@@ -268,8 +267,8 @@ def _short(recipe: Recipe, seed: int, motions: int) -> Recipe:
     return replace(recipe, search=search, validate=validate)
 
 
-def _programs(recipe: Recipe, plan: Plan) -> dict[str, str]:
-    return {motion.name: program_text(recipe, motion) for motion in (plan.excitation, *plan.validation)}
+def _programs(plan: Plan) -> dict[str, str]:
+    return {motion.name: motion.program for motion in (plan.excitation, *plan.validation)}
 
 
 def _said(found: Diagnosis) -> dict[str, Any]:

@@ -90,7 +90,7 @@ class StoppingLoops(LocalLoops):
     def _stopping(self, flown: Loop) -> Planned:
         settings = self.problem.settings.stopping()
         moves = tuple(replace(move, fly=False, settings=settings) for move in flown.moves)
-        return _planned(self._interpolator.plan, flown.genome, flown.poses, flown.start, moves)
+        return _planned(self._interpolator.plan, flown.genome, flown.poses, flown.joints, moves)
 
 
 class GlobalLoops(LocalLoops):
@@ -116,12 +116,12 @@ class GlobalLoops(LocalLoops):
             [Move(MoveType.JOINT, JointTarget(point), settings, fly=True) for point in points[1:]]
             + [Move(MoveType.JOINT, JointTarget(points[0]), closing)]
         )
-        return _planned(self._plan, genome, self.kinematics.forward(points), points[0], moves)
+        return _planned(self._plan, genome, self.kinematics.forward(points), points, moves)
 
 
-def _planned(plan: Callable, genome: np.ndarray, poses: np.ndarray, start: np.ndarray, moves: tuple) -> Planned:
+def _planned(plan: Callable, genome: np.ndarray, poses: np.ndarray, joints: np.ndarray, moves: tuple) -> Planned:
     try:
-        return Loop(genome, poses, start, moves, plan(moves, start))
+        return Loop(genome, poses, joints, moves, plan(moves, joints[0]))
     except (MotionError, KinematicsError) as error:
         return error
 

@@ -1,5 +1,6 @@
 """A model identified by ROS 2 is as good as one identified over TCP: the same arm and loops, in simulated time."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,6 @@ import pytest
 
 from agent.core import Console
 from agent.estimation import estimate
-from agent.pipeline.loop_program import program_text
 from agent.pipeline.plan import make_plan
 from agent.recipe import load_recipe
 from agent.recording import Log
@@ -112,7 +112,7 @@ def test_a_model_is_as_good_as_over_tcp(tmp_path, monkeypatch, measured):
     for kind, recipe in recipes.items():
         arm = kind()
         logs[kind] = [
-            log_of(f"{kind.__name__}_{k}", *arm.run(program_text(recipe, motion)))
+            log_of(f"{kind.__name__}_{k}", *arm.run(replace(motion, recipe=recipe).program))
             for k, motion in enumerate([plan.excitation, *plan.validation])
         ]
     models = {kind: estimate(ROBOT, [found[0]]) for kind, found in logs.items()}

@@ -170,13 +170,13 @@ def test_batch_inverse_equals_single_solutions(arms: dict[str, RobotDescription]
     near = q + np.array([[0.02], [0.02], [0.02], [0.8]]) * rng.uniform(-1, 1, q.shape)  # the last one looks for it
     poses = kinematics.forward(q)
     one_by_one = [kinematics.solve(pose, there) for pose, there in zip(poses, near, strict=True)]
-    np.testing.assert_allclose(kinematics.solve_each(poses, near), one_by_one, atol=1e-9)
+    np.testing.assert_allclose(kinematics.find(poses, near)[0], one_by_one, atol=1e-9)
 
 
-def test_names_the_unreachable_pose_among_many(arms: dict[str, RobotDescription]) -> None:
+def test_finds_the_unreachable_pose_among_many(arms: dict[str, RobotDescription]) -> None:
     kinematics = kinematics_for(arms["anthropomorphic"])
     q = swing(kinematics.dof, np.random.default_rng(0), 3)
     poses = kinematics.forward(q)
     poses[1, :3, 3] += 100.0
-    with pytest.raises(KinematicsError, match="cannot be reached"):
-        kinematics.solve_each(poses, q)
+    assert kinematics.find(poses, q)[1].tolist() == [True, False, True]
+    assert "cannot be reached" in str(kinematics.refusal(poses[1], q[1]))

@@ -16,8 +16,9 @@ from scipy.special import ndtri
 
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.dataset import Dataset, known_effects
+from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.fit import Fit
+from agent.model import known_effects
 
 _WINDOWS = tuple(LIMITS.row_correlation_time * 2.0**k for k in range(-1, 4))  # numerical: s
 _QUARTILE = float(ndtri(3 / 4))  # derived: half of normal errors are smaller, in standard deviations

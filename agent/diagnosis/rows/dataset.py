@@ -26,7 +26,7 @@ from agent.estimation import (
     physical_prior,
     with_torque_in_time,
 )
-from agent.model import IdentifiedModel, MotionSignals, NominalModel, effect_torque, known_payload
+from agent.model import IdentifiedModel, MotionSignals, NominalModel, known_effects, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR
@@ -201,15 +201,6 @@ def _moving_error(model: IdentifiedModel) -> np.ndarray:
     """
     moving = model.held_out_rmse if model.group_rmse is None else model.group_rmse[0]
     return moving if model.sliding_rmse is None else np.minimum(moving, model.sliding_rmse)
-
-
-def known_effects(model: IdentifiedModel, signals: MotionSignals) -> np.ndarray:
-    """Filtered torque (S', n) of the effects that the model has already."""
-    total = np.zeros(signals.q.shape)
-    motion = {"time": signals.time, "q": signals.q, "qd": signals.qd, "qdd": signals.qdd}
-    for entry in model.effects:
-        total = total + effect_torque(model, entry, motion)
-    return signals.low_pass(total)
 
 
 def precision_of(covariance: np.ndarray) -> np.ndarray:

@@ -108,17 +108,6 @@ class Kinematics(ABC):
             raise self.refusal(pose, near)
         return q[0]
 
-    def solve_each(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """(S, n) as `solve` for each of poses (S, 4, 4), nearest to `near` (S, n).
-
-        Raises:
-            KinematicsError: as `solve`, of the first pose without solution.
-        """
-        q, solved = self.find(poses, near)
-        for k in np.flatnonzero(~solved):
-            raise self.refusal(poses[k], near[k])
-        return q
-
     def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, n) what `solve` says of each of poses (S, 4, 4), nearest to `near` (S, n), and where it does (S,)."""
         candidates, _, allowed = self._options(poses, near)
