@@ -41,6 +41,7 @@ from .files import (
     written_whole as written_whole,
 )
 from .formats import (
+    and_list as and_list,
     comma_list as comma_list,
     counted as counted,
     csv_text as csv_text,
@@ -48,6 +49,7 @@ from .formats import (
     plus_minus as plus_minus,
 )
 from .numerics import (
+    NORMAL_95 as NORMAL_95,
     keep_freed_memory as keep_freed_memory,
     on_one_blas_thread as on_one_blas_thread,
     one_blas_thread as one_blas_thread,

@@ -30,6 +30,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def and_list(names: Sequence[str]) -> str:
+    """Names for a sentence: "a", "a and b", "a, b and c"; empty without any."""
+    return " and ".join(part for part in (", ".join(names[:-1]), *names[-1:]) if part)
+
+
 def comma_list(names: Sequence[str], most: int) -> str:
     """Names for a message, with … for those after the first `most`."""
     return ", ".join(names[:most]) + (", …" if len(names) > most else "")

@@ -5,12 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from statistics import NormalDist
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
+
+#: Half of a 95 % interval of a normal error, in standard deviations.
+NORMAL_95 = NormalDist().inv_cdf(0.975)
 
 
 def symmetric_eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

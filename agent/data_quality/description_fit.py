@@ -100,7 +100,7 @@ def excessive_weight(of: Recordings) -> Iterator[QualityFinding]:
     dynamics = Dynamics(of.robot)
     apart = np.linalg.norm(dynamics.chain[1][1:], axis=1).sum()
     reach = max(float(np.linalg.norm(dynamics.tip_pose(q)[:, :3, 3], axis=1).max()), float(apart))
-    mass = 2 * torque / (9.81 * reach) if reach > 0 else 0.0
+    mass = 2 * torque / (of.robot.weight_per_mass * reach) if reach > 0 else 0.0
     if mass > HEAVIEST * reach**2:
         yield QualityFinding(
             f"torques look like N·mm: to need {torque:.3g} N·m at a reach of {reach:.2g} m an arm would weigh "
@@ -112,7 +112,7 @@ def excessive_weight(of: Recordings) -> Iterator[QualityFinding]:
 
 def gravity_axes(robot: RobotDescription) -> Iterator[tuple[float, float, float]]:
     """Gravity [m/s²] along each axis of the base, downwards first, but not as it is described."""
-    size = float(np.linalg.norm(robot.gravity)) or 9.80665
+    size = robot.weight_per_mass
     for direction in (*-np.eye(3)[::-1], *np.eye(3)):
         x, y, z = (size * direction + 0.0).tolist()
         if not np.allclose((x, y, z), robot.gravity, atol=1e-3 * size):

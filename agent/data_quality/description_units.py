@@ -12,6 +12,7 @@ from itertools import product
 
 import numpy as np
 
+from agent.core import and_list
 from agent.data_quality.description_fit import HEAVIEST, LIGHTEST, compared_weight
 from agent.data_quality.faults import QualityFinding, Recordings
 from agent.robot import Dynamics, RobotDescription
@@ -60,7 +61,7 @@ def description_units(of: Recordings) -> Iterator[QualityFinding]:
         if not shown:
             continue
         which = dict(zip(("masses", "joint origins", "centres of mass"), units, strict=True))
-        looks = " and ".join(f"{what} in {unit}" for what, unit in which.items() if unit)
+        looks = and_list([f"{what} in {unit}" for what, unit in which.items() if unit])
         yield QualityFinding(
             f"the description looks like one with {looks}: as it stands, the arm weighs {given.mass:.3g} kg, reaches "
             f"{given.reach:.3g} m, and has centres of mass up to {given.centre:.3g} m from joints; converted, {shown}",

@@ -16,6 +16,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from agent.core import and_list
 from agent.data_quality.description_fit import MEND_GRAVITY, WITH_GRAVITY, described_gravity, gravity_axes, gravity_text
 from agent.data_quality.faults import QualityFinding, Recordings
 from agent.data_quality.rigid_fit import FOLDS, RigidFit, fitted_gravity
@@ -220,9 +221,9 @@ def _with_zeros(plain: RigidFit, offset: np.ndarray) -> RigidFit:
 
 def _zeros_text(robot: RobotDescription, offset: np.ndarray) -> str:
     off = [robot.joint_names[k] for k in np.flatnonzero(offset)]
-    whose = f"the zero of {off[0]} looks" if len(off) == 1 else f"the zeros of {' and '.join(off)} look"
+    whose = f"the zero of {off[0]} looks" if len(off) == 1 else f"the zeros of {and_list(off)} look"
     values = ", ".join(f"{value:g} deg" if value else "0" for value in np.degrees(offset))
-    sizes = " and ".join(f"{abs(angle):g}°" for angle in dict.fromkeys(np.abs(np.degrees(offset[offset != 0]))))
+    sizes = and_list([f"{abs(angle):g}°" for angle in dict.fromkeys(np.abs(np.degrees(offset[offset != 0])))])
     return f"{whose} {sizes} off: import with `position: {{offset: [{values}]}}`"
 
 

@@ -242,7 +242,7 @@ def fitted_gravity(plain: RigidFit) -> np.ndarray:
     from scipy.optimize import minimize
 
     robot, s = plain.robot, plain.samples
-    size = float(np.linalg.norm(robot.gravity)) or 9.80665
+    size = robot.weight_per_mass
     without, *along = (
         RigidFit(Dynamics(replace(robot, gravity=tuple(gravity))), s, plain.precision).columns
         for gravity in size * np.vstack([np.zeros(3), np.eye(3)])

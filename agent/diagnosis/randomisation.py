@@ -75,7 +75,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
                 owner = f"actuator of {name}" if joint >= 0 else "actuators"
                 result.append(_range(owner, "delay", value, servos.delay * deviation[own][0], "s"))
             continue
-        unit, way = ("N", "m") if robot.joints[joint].prismatic else ("N·m", "rad")
+        unit, way = robot.joints[joint].torque_unit, robot.joints[joint].position_unit
         if group.kind == "friction":
             terms = [k for k, term in enumerate(model.terms) if term.axle == joint]
             for column, k in enumerate(terms):

@@ -256,7 +256,7 @@ def beyond_fit(model: IdentifiedModel, motions: Sequence[tuple[np.ndarray, np.nd
         return
     lowest, highest, fastest = (np.array(known[key]) for key in ("lowest", "highest", "fastest"))
     q, speed = np.concatenate([q for q, _ in motions]), np.abs(np.concatenate([qd for _, qd in motions]))
-    units = ["m" if joint.prismatic else "rad" for joint in model.robot.joints]
+    units = [joint.position_unit for joint in model.robot.joints]
 
     def of_joints(beyond: np.ndarray, text: Callable[[int], str]) -> str:
         often = np.flatnonzero(np.mean(beyond, axis=0) > _OFTEN).tolist()

@@ -110,5 +110,5 @@ def _trial_load(diagnosis: Diagnosis, problem: LoopProblem) -> Tool | None:
     mounted = 0.0 if problem.tool is None else problem.tool.mass
     allowed = np.inf if robot.rated_payload is None else robot.rated_payload - mounted
     torque = _TRIAL_LOAD * float(np.max(reference.scale))
-    mass = float(min(float(f"{torque / (9.81 * reference.reach):.1g}"), allowed))
+    mass = float(min(float(f"{torque / (robot.weight_per_mass * reference.reach):.1g}"), allowed))
     return Tool(np.eye(4), mass, np.zeros(3)) if mass > 0 else None

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
-from agent.core import InputError, first_fault, read_json, write_atomically
+from agent.core import NORMAL_95, InputError, first_fault, read_json, write_atomically
 from agent.model.friction_terms import FrictionTerm, Reversal
 from agent.model.model_file import ModelDocument, check_model
 from agent.model.regimes import RESTS
@@ -21,7 +20,6 @@ SCHEMA = "model/1"
 
 
 #: Half the 95 % interval of a normal distribution, in standard deviations.
-_NORMAL_95 = NormalDist().inv_cdf(0.975)
 _MANY_OPEN = 0.1  # of all combinations of parameters; four arms predict 1.5 to 9 times worse beyond it
 #: Rule of thumb for exciting trajectories (Gautier and Khalil 1992).
 USUAL_CONDITION = 100
@@ -107,7 +105,7 @@ class IdentifiedModel(RigidFrictionModel):
         held_out = self.residual_rmse
         if speed is not None and self.group_rmse is not None:
             held_out = np.where(np.abs(speed) > self.standstill_speed, *self.group_rmse)
-        return _NORMAL_95 * np.sqrt(variance + held_out**2)
+        return NORMAL_95 * np.sqrt(variance + held_out**2)
 
     def _term_unit(self, term: FrictionTerm) -> str:
         return term.unit(self.robot.joints[term.axle].prismatic)
@@ -168,7 +166,7 @@ class IdentifiedModel(RigidFrictionModel):
         for k, term in enumerate(self.terms, len(self.independent)):
             if term.axle == axle and term.form == form:
                 value, deviation = self.values[k], self.standard_deviations[k]
-                return "stood still" if self.unmoved[k] else f"{value:.4g} ± {_NORMAL_95 * deviation:.2g}"
+                return "stood still" if self.unmoved[k] else f"{value:.4g} ± {NORMAL_95 * deviation:.2g}"
         return "-"
 
     def _viscous_unit(self, axle: int) -> str:

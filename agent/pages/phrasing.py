@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from agent.core import and_list
 from agent.diagnosis import (
     LIMITS,
     TOGETHER,
@@ -53,7 +54,7 @@ _LIKELY = 0.7  # probability from which a cause is called likely
 
 def place(entry: Mapping[str, Any]) -> str:
     """Where a cause of a result, or one of its equivalents, sits."""
-    return " and ".join(entry["joints"]) or "the whole arm"
+    return and_list(entry["joints"]) or "the whole arm"
 
 
 def effect_phrase(effect: str, result: Mapping[str, Any]) -> str:
@@ -102,7 +103,7 @@ def verdict_name(result: Mapping[str, Any]) -> str:
 def _exception(result: Mapping[str, Any]) -> str:
     """What an explanation leaves; empty where that is what a healthy arm leaves."""
     joints = [entry["joint"] for entry in result.get("remainder", ())] if result["verdict"] == "explained" else []
-    return f", but for what is left on {_listed(joints)}" if joints else ""
+    return f", but for what is left on {and_list(joints)}" if joints else ""
 
 
 def in_short(result: Mapping[str, Any]) -> str:
@@ -120,7 +121,7 @@ def headline(result: Mapping[str, Any]) -> str:
     sure = "" if cause["equivalent_to"] else ", most likely" if cause["probability"] >= _LIKELY else ", perhaps"
     agrees = "" if has_torque_gap(result) else f" {_in_torque(result)}"
     more = "".join(
-        f" Also on {_listed([place(result['causes'][number]) for number in numbers])}: {effect_phrase(effect, result)}."
+        f" Also on {and_list([place(result['causes'][k]) for k in numbers])}: {effect_phrase(effect, result)}."
         for effect, numbers in _further(result).items()
     )
     more += f" Explained{exception}." if (exception := _exception(result)) else ""
@@ -133,10 +134,6 @@ def _further(result: Mapping[str, Any]) -> dict[str, list[int]]:
     for number, cause in enumerate(result["causes"][1:], start=1):
         numbers.setdefault(cause["effect"], []).append(number)
     return numbers
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
 
 
 def _numbers_first(result: Mapping[str, Any]) -> str:
@@ -228,7 +225,7 @@ def _intervals(result: Mapping[str, Any], number: int) -> Mapping[str, tuple[flo
 def worst_joints(result: Mapping[str, Any]) -> str:
     """The joints that carry the gap, in words."""
     largest = [entry["joint"] for entry in result["where"] if entry["share"] > _MUCH]
-    return " and ".join(largest or [result["where"][0]["joint"]])
+    return and_list(largest or [result["where"][0]["joint"]])
 
 
 def share_text(entry: Mapping[str, Any]) -> str:
@@ -312,7 +309,7 @@ def _what(result: Mapping[str, Any]) -> Iterator[str]:
         else:
             figures, where = "", [_place_and_size(result, number) for number in numbers]
         which = f", which {figures}" if figures else ""
-        yield f"Also on {_listed(where)}: {effect_phrase(effect, result)}{which}."
+        yield f"Also on {and_list(where)}: {effect_phrase(effect, result)}{which}."
     if result["gap"].get("of") == "position":
         yield "No torque was measured: the simulator runs under the recorded command, and its motion is judged."
     yield from remainder_sentences(result)
@@ -337,7 +334,7 @@ def remainder_sentences(result: Mapping[str, Any]) -> Iterator[str]:
     """What no named cause explains, joint by joint: how large it is, in which regimes, and what it follows."""
     for entry in result.get("remainder", ())[:_MOST_OTHERS]:
         marked = [r for r in entry["regimes"] if r["name"] in REGIMES and r["share"] > 1.4 * r["of_samples"]]
-        where = " and ".join(REGIMES[r["name"]] for r in marked[:_MOST_REGIMES])
+        where = and_list([REGIMES[r["name"]] for r in marked[:_MOST_REGIMES]])
         name, share = max(entry["follows"].items(), key=lambda entry_: entry_[1])
         shape = f"a smooth function of {name} explains {100 * share:.0f} % of it" if share > _MUCH else _NO_SHAPE
         text = f"{entry['joint']} keeps {entry['size']:.1f} times what a healthy arm may leave"
@@ -378,7 +375,7 @@ def measures(result: Mapping[str, Any]) -> list[NextStep]:
     causes, experiment = result["causes"], result["next_experiment"]
     steps = [NextStep(f"look at {look_at(cause, result)}.") for cause in causes[:1]]
     for effect, numbers in _further(result).items():
-        where = _listed([place(causes[number]) for number in numbers])
+        where = and_list([place(causes[number]) for number in numbers])
         steps.append(NextStep(f"on {where}, look at {_words(effect, result)[1].replace('this joint', where)}."))
     if experiment is not None and not experiment.get("program"):  # a planned motion has its own command
         steps.append(NextStep(f"{'' if 'program' in experiment else 'record '}{experiment['motion']}."))

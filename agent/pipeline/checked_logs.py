@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from agent.core import Console, InputError, RejectedError
+from agent.core import Console, InputError, RejectedError, and_list
 from agent.data_quality import check_quality, spoiled
 from agent.estimation import FilterSettings, used_text
 from agent.model import PAYLOAD, IdentifiedModel
@@ -123,7 +123,7 @@ def check_one_machine(
         if model is not None:
             log_by_value |= {value: "the model" for value in model.provenance.get(key, ())}
         if len(log_by_value) > 1:
-            listed = " and ".join(f"{value} ({where})" for value, where in sorted(log_by_value.items()))
+            listed = and_list([f"{value} ({where})" for value, where in sorted(log_by_value.items())])
             raise InputError(
                 f"the logs are not of one {'machine' if key == 'serial' else 'tool'}: {key} {listed}. "
                 "Name the logs of one, or allow both with --allow-mixed"

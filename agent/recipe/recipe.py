@@ -311,7 +311,7 @@ def _joint_range(name: str, document: RecipeDocument, robot: RobotDescription) -
     joint = robot.joints[robot.joint_names.index(name)]
     dimension, bare = (Dimension.LENGTH, BARE_PLACE) if joint.prismatic else (Dimension.ANGLE, BARE_ANGLE)
     lower, upper = (parse_quantity(value, dimension, bare) for value in document.cell.joint_ranges[name])
-    unit = "m" if joint.prismatic else "rad"
+    unit = joint.position_unit
     if lower >= upper:
         raise InputError(f"the lower end must come first and be below the upper; it is {lower:g} to {upper:g} {unit}")
     if lower >= joint.upper or upper <= joint.lower:

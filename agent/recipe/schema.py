@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_core import InitErrorDetails
 
+from agent.core import and_list
 from agent.motion import FlyTrajectory, FlyType
 from agent.recipe.quantities import (
     FULL_TURN,
@@ -269,7 +270,7 @@ class RecipeDocument(RecipeSection):
 def _clashes(data: dict[Any, Any]) -> list[InitErrorDetails]:
     chosen = [key for key in ("box", "points", "like", "tube") if data.get(key) is not None]
     if len(chosen) != 1:
-        got = " and ".join(chosen) if chosen else "none"
+        got = and_list(chosen) or "none"
         return [_fault((), f"exactly one of box, points, like (with around) and tube is expected, not {got}", data)]
     faults = []
     counted = data.get("count") is not None

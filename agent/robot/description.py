@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from agent.core import LARGEST_ROBOT_FILE, InputError, load_document, read_text
 from agent.robot.urdf_checks import check_urdf, parse_robot_file
 
+STANDARD_GRAVITY = 9.80665  # m/s², by the third CGPM, 1901
 _NAMED_ENDS = 8  # links of a message
 _GRIPPER = re.compile(r"gripper|finger|jaw|hand", re.IGNORECASE)
 
@@ -93,7 +94,7 @@ class _RobotFile(_Strict):
     name: Annotated[str, AfterValidator(_file_name)]
     urdf: str
     tip_frame: str
-    gravity: Vector3 = [0.0, 0.0, -9.80665]
+    gravity: Vector3 = [0.0, 0.0, -STANDARD_GRAVITY]
     cartesian_limits: _CartesianEntry | None = None
     joints: Annotated[list[_JointEntry], Field(min_length=1, max_length=7)]
     motor_coupling: list[list[Number]] | None = None
@@ -122,6 +123,16 @@ class Joint:
     torque_constant: float | None
     lower: float
     upper: float
+
+    @property
+    def position_unit(self) -> str:
+        """Unit of its position: rad, on a prismatic joint m."""
+        return "m" if self.prismatic else "rad"
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of its torque: N·m, on a prismatic joint N."""
+        return "N" if self.prismatic else "N·m"
 
 
 @dataclass(frozen=True)
@@ -175,6 +186,11 @@ class RobotDescription:
     def dof(self) -> int:
         """Number of joints n."""
         return len(self.joints)
+
+    @property
+    def weight_per_mass(self) -> float:
+        """Size of gravity [m/s²]; the standard one where it is described as none."""
+        return float(np.linalg.norm(self.gravity)) or STANDARD_GRAVITY
 
     @property
     def load_link(self) -> int:

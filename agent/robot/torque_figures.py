@@ -16,12 +16,12 @@ SHARE = "of nominal"
 
 def torque_units(robot: RobotDescription) -> tuple[str, ...]:
     """Unit of every joint's torque: N·m, on a prismatic joint N."""
-    return tuple("N" if joint.prismatic else "N·m" for joint in robot.joints)
+    return tuple(joint.torque_unit for joint in robot.joints)
 
 
 def position_units(robot: RobotDescription) -> tuple[str, ...]:
     """Unit of every joint's position: rad, on a prismatic joint m."""
-    return tuple("m" if joint.prismatic else "rad" for joint in robot.joints)
+    return tuple(joint.position_unit for joint in robot.joints)
 
 
 def error_units(robot: RobotDescription) -> list[str]:

@@ -282,7 +282,7 @@ class Adherence:
         limit, fastest = self._robot.max_velocity, self._fastest(allowed, points[close])
         best = int(np.argmin(np.max((speed - fastest) / limit, axis=1)))
         joint = int(np.argmax((speed - fastest[best]) / limit))
-        name, unit = self._robot.joint_names[joint], self._unit(joint)
+        name, unit = self._robot.joint_names[joint], self._robot.joints[joint].position_unit
         return (
             f"{at} the {quantity} of {name} goes at {speed[joint]:.3g} {unit}/s, no "
             f"more than {self._path.speed[self._path.rows[points[close][best]], joint]:.3g} was planned around there: "
@@ -294,7 +294,7 @@ class Adherence:
         q = self._path.q[row]
         tool = float(np.linalg.norm(self._dynamics.tcp_pose(position[None])[0, :3, 3] - self._path.tool[row]))
         joint = int(np.argmax(np.abs(position - q) * self._path.levers))
-        name, unit = self._robot.joint_names[joint], self._unit(joint)
+        name, unit = self._robot.joint_names[joint], self._robot.joints[joint].position_unit
         if np.all(np.abs(np.radians(position) - q) <= allowed.joint):
             return f"each {quantity} fits the plan in degrees, where radians are expected: check the unit of the link"
         x, y, z = self._path.tool[row]
@@ -342,9 +342,6 @@ class Adherence:
             f"took {took:.1f} s: the override is not at 100 %, or was changed, or it is not the planned motion; set it "
             f"to 100 %, then run the command again; if it was, {_LAW}"
         )
-
-    def _unit(self, joint: int) -> str:
-        return "m" if self._robot.joints[joint].prismatic else "rad"
 
 
 _FAULT = "look for the fault there, then run the command again"

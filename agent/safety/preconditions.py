@@ -7,7 +7,7 @@ from ipaddress import ip_address
 
 import numpy as np
 
-from agent.core import ControllerError, InputError, MismatchError, SafetyError
+from agent.core import ControllerError, InputError, MismatchError, SafetyError, and_list
 from agent.robot import RobotDescription
 from agent.safety.planned_program import PlannedProgram
 from drivers.protocol import Driver, Identity, MeasuresThroughput, ReportsFrames, Status
@@ -174,7 +174,7 @@ def check_frames(program: str, frames: Mapping[str, np.ndarray], driver: Driver,
         return
     reported = driver.frames() if isinstance(driver, ReportsFrames) else {}
     if not frames.keys() <= reported.keys():
-        missing = " and ".join(frames)
+        missing = and_list(list(frames))
         lines = "; ".join(f"{name} := {pos_text(frame)}" for name, frame in frames.items())
         raise InputError(
             f"{address}: program {program} does not set {missing}, so its way depends on what ran before it, "

@@ -93,7 +93,7 @@ def _missing(numbers: NumbersOfModel, rotors: np.ndarray, lines: np.ndarray) -> 
     turning = np.abs(usual_motion(model.robot)[3] @ rotor_mass_matrix(model.robot, rotors)).max(axis=0)
     worst = int(np.argmax(turning))
     if turning[worst] > 0:
-        unit = "N" if model.robot.joints[worst].prismatic else "N·m"
+        unit = model.robot.joints[worst].torque_unit
         yield (
             f"URDF and SDF have no rotor inertia (up to {turning[worst]:.3g} {unit} on "
             f"{model.robot.joint_names[worst]}): take armature from friction.json"

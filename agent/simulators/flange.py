@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.core import InputError
+from agent.core import InputError, and_list
 from agent.robot import Dynamics, RobotDescription
 from agent.simulators.urdf import end_of, moved_links
 
@@ -65,7 +65,7 @@ def flange_of(robot: RobotDescription, wanted: str | None = None) -> Flange:
     likely = [flange(frame, f"the usual name of a flange beyond {last}") for frame in named]
     likely = [each for each in likely if _CONTROLLERS_OWN.match(each.frame)] or likely
     if any(np.abs(each.pose - likely[0].pose).max() > _SAME for each in likely):
-        listed = " and ".join(each.frame for each in likely)
+        listed = and_list([each.frame for each in likely])
         raise InputError(
             f"{listed} of {robot.name} lie in different places, and each may be the flange: name the controller's "
             f"with --flange {likely[0].frame}, or as tip_frame in robot.yaml"

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from agent.core import and_list
 from agent.estimation import FilterSettings, conditional_covariance, motions
 from agent.model import IdentifiedModel
 from agent.recording import Log
@@ -75,7 +76,7 @@ class Comparison:
     @property
     def between_machines(self) -> str:
         """What two machines make of a comparison, in a sentence; empty for one."""
-        named = " and ".join(self.machines)
+        named = and_list(self.machines)
         return f"These are two machines ({named}): the figures say how they differ, not what changed." if named else ""
 
     def to_dict(self) -> dict[str, Any]:

@@ -10,6 +10,8 @@ import pytest
 
 from agent.core import Console, InputError, RejectedError
 from agent.data_quality import QualityFinding, check_quality
+from agent.data_quality.description_fit import HEAVIEST, excessive_weight
+from agent.data_quality.faults import Recordings
 from agent.data_quality.rigid_fit import fit_samples
 from agent.estimation import estimate
 from agent.pipeline.checked_logs import check_plausible
@@ -222,6 +224,24 @@ def test_measures_arm_length_along_the_joints(make_log):
     friction = 3 * np.cos(t[:, None] * rate)
     log = make_log(serial_arm(bars), t, size * np.sin(t[:, None] * rate), friction)
     assert not any("N·mm" in text for text in plausibility_warnings(serial_arm(bars), [log]))
+
+
+def test_weighs_an_arm_with_the_gravity_that_its_description_has(make_log):
+    """A torque that needs too heavy an arm, level or on a slope, needs none where gravity is three times as strong."""
+    block = 0.01, 0.01, 0.01
+    arm = serial_arm([Bar("R", at, "0 1 0", 2.0, "0.1 0 0", block) for at in ("0 0 0", "0.5 0 0")])
+    t = np.arange(0, 10, 0.01)
+    log = make_log(arm, t, 0.5 * np.sin(t[:, None] * [1.0, 1.7]), np.zeros((len(t), 2)))
+    reach = 0.5  # m
+    heavy = replace(log, effort=np.full_like(log.position, 0.75 * HEAVIEST * reach**3 * 9.80665))
+
+    def doubts(*gravity: float) -> int:
+        return len(
+            list(excessive_weight(Recordings(replace(arm, gravity=tuple(9.80665 * np.array(gravity))), [heavy])))
+        )
+
+    assert doubts(0.0, 0.0, -1.0) == doubts(0.6, 0.0, -0.8) == 1
+    assert doubts(1.8, 0.0, -2.4) == 0
 
 
 def test_other_motions_clear_a_false_suspicion_from_a_short_log(shared_data):

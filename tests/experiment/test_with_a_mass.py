@@ -92,6 +92,22 @@ def test_proposes_a_mass_if_the_bare_arm_has_no_helpful_motion(ask):
     assert "instead" not in said.text()
 
 
+def test_a_mass_is_as_heavy_as_the_gravity_of_the_arm_needs(ask):
+    """Mounted on a slope it is the same mass; at a quarter of the gravity, four times as much."""
+
+    def described(gravity):
+        return lambda problem: replace(
+            problem, robot=replace(problem.robot, gravity=tuple(np.multiply(gravity, 9.80665)), rated_payload=None)
+        )
+
+    (level,), (slope,), (light,) = (
+        ask(0.5, 0.9, change=described(gravity))[1]
+        for gravity in ((0.0, 0.0, -1.0), (0.6, 0.0, -0.8), (0.15, 0.0, -0.2))
+    )
+    assert slope == level
+    assert light == pytest.approx(4 * level, rel=0.2)  # rounded to one digit
+
+
 def test_mass_and_tool_stay_within_the_rated_payload(ask):
     def rated(mass):
         tool = Tool(np.eye(4), 2.0, np.zeros(3))

@@ -62,9 +62,9 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
         )
     for joint, travel in zip(robot.joints, np.ptp(log.position, axis=0), strict=True):
         if travel > LIMITS.least_travel:
-            unit = "m" if joint.prismatic else "rad"
             raise InputError(
-                f"{log.name}: {joint.name} moves by {travel:.2g} {unit}: with the drives off the brakes hold an arm"
+                f"{log.name}: {joint.name} moves by {travel:.2g} {joint.position_unit}: with the drives off the brakes "
+                "hold an arm"
             )
     _check_off(robot, log, model)
     means = np.array([block.mean(axis=0) for block in np.array_split(log.effort, LIMITS.blocks)])
@@ -81,7 +81,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     nominal, mean, swing = robot.nominal_torque, log.effort.mean(axis=0), log.effort.std(axis=0)
     again = "switch the drives off, let the brakes hold the arm, and record again"
     for joint, entry in enumerate(robot.joints):
-        unit = "N" if entry.prismatic else "N·m"
+        unit = entry.torque_unit
         if swing[joint] > LIMITS.negligible * nominal[joint]:
             raise InputError(
                 f"{log.name}: the torque of {entry.name} varies by {swing[joint]:.3g} {unit} (standard deviation) "
@@ -135,7 +135,7 @@ def zero_remarks(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) 
     before, said = _known_offsets(dataset.model), []
     for joint, entry in enumerate(dataset.robot.joints):
         seen, least = zero.torque[joint], _NOTABLE * dataset.fit.reference.scale[joint]
-        unit = "N" if entry.prismatic else "N·m"
+        unit = entry.torque_unit
         if np.isnan(seen):
             if joint in offsets:
                 said.append(f"the torque channel of {entry.name} is off with its drive, so it settles nothing")

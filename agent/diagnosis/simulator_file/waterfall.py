@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from agent.core import and_list
 from agent.diagnosis.document import WaterfallStep
 from agent.diagnosis.gap.regime_shares import resampled
 from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
@@ -75,16 +75,12 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
         ends = range(at + 1, count + 1)
         end = next((end for end in ends if closing(at, end)[1][1] >= 0), count)
         by_itself = float((whole[0] - whole[count + end]) / size)
-        steps.append(WaterfallStep(_joined(texts[at:end]), closing(at, end)[0], by_itself, closing(at, end)[1]))
+        steps.append(WaterfallStep(and_list(texts[at:end]), closing(at, end)[0], by_itself, closing(at, end)[1]))
         at = end
     if len(steps) < count:
         steps = [replace(step, alone=None) for step in steps]
     closed, (low, high) = closing(0, count)
     return (*steps, WaterfallStep(REMAINDER, 1 - closed, None, (1 - high, 1 - low)))
-
-
-def _joined(texts: Sequence[str]) -> str:
-    return " and ".join(part for part in (", ".join(texts[:-1]), texts[-1]) if part)
 
 
 def _absorbed(gap: HeldOutGap, fit: Fit) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.core import plus_minus
+from agent.core import NORMAL_95, plus_minus
 from agent.model import IdentifiedModel
 from agent.pages.calibration.friction import compared_friction
 from agent.pages.calibration.recordings import percent
@@ -88,7 +88,8 @@ def comparison_page(
     headline = f"None of {len(last.parameters)} parameters changed by more than chance."
     if moved:
         largest = ", ".join(
-            f"{c.name} by {plus_minus(c.after - c.before, 1.96 * c.standard_deviation)} {c.unit}" for c in moved[:3]
+            f"{c.name} by {plus_minus(c.after - c.before, NORMAL_95 * c.standard_deviation)} {c.unit}"
+            for c in moved[:3]
         )
         headline = (
             f"{len(moved)} of {len(last.parameters)} parameters changed by more than chance: most of all {largest}."
@@ -130,6 +131,6 @@ def _parameters(models: dict[str, IdentifiedModel]) -> Table:
     values = {name: dict.fromkeys(models, "-") for name in units}
     for run, model in models.items():
         for name, value, deviation in zip(model.names, model.values, model.standard_deviations, strict=True):
-            values[name][run] = plus_minus(value, 1.96 * deviation)
+            values[name][run] = plus_minus(value, NORMAL_95 * deviation)
     rows = [(name, unit, *values[name].values()) for name, unit in units.items()]
     return Table("parameters", ("parameter", "unit", *models), rows)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from agent.core import NORMAL_95
 from agent.model import IdentifiedModel, steady_columns
 from agent.pages.elements import Section
 from agent.pages.plots import SERIES, UNLINKED, Panel, Plot, Series, worst_first
@@ -71,7 +72,7 @@ def friction_curve(model: IdentifiedModel, axle: int, speed: np.ndarray) -> tupl
     places = len(model.independent) + np.array(own, dtype=int)
     covariance = model.covariance[np.ix_(places, places)]
     variance = np.einsum("sk,kl,sl->s", columns, covariance, columns)
-    return columns @ model.values[places], 1.96 * np.sqrt(np.maximum(variance, 0))
+    return columns @ model.values[places], NORMAL_95 * np.sqrt(np.maximum(variance, 0))
 
 
 def _curve(

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.core import counted, plus_minus
+from agent.core import NORMAL_95, counted, plus_minus
 from agent.model import USUAL_CONDITION, IdentifiedModel, judged_condition
 from agent.pages.elements import Section, Table
 from agent.pages.plots import Panel, Plot, Series
 from agent.recording import Log
 from agent.validation import observability
 
-_NORMAL_95 = 1.96
 _PRIOR = (
     "Prior: what description and torque level say before the fit. From the data: how much they reduce its variance. "
     "Near 100 % the data determine a parameter, near 0 % the prior does."
@@ -34,13 +33,13 @@ def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()
 
 
 def _interval(value: str, deviation: str) -> str:
-    return plus_minus(float(value), _NORMAL_95 * float(deviation))
+    return plus_minus(float(value), NORMAL_95 * float(deviation))
 
 
 def _known(shown: str, scatter: str) -> str:
     """The standard deviation over the value, where that says something."""
     value, deviation = float(shown), float(scatter)
-    if abs(value) <= _NORMAL_95 * deviation:
+    if abs(value) <= NORMAL_95 * deviation:
         return "may be zero"
     return f"to {100 * deviation / abs(value):.2g} %"
 

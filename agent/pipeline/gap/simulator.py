@@ -66,7 +66,7 @@ def beyond_range(diagnosis: Diagnosis, simulator: Simulator) -> Iterator[str]:
     lower, upper = arm.robot.position_limits
     beyond = np.maximum(lower - low, high - upper)
     for k in np.flatnonzero(beyond > _OVER_RANGE):
-        unit = "m" if arm.robot.joints[k].prismatic else "rad"
+        unit = arm.robot.joints[k].position_unit
         yield (
             f"{arm.path.name}: {arm.joint_names[k]} moves from {low[k]:.3g} to {high[k]:.3g} {unit} in the logs, and "
             f"the file lets it move from {lower[k]:.3g} to {upper[k]:.3g}: widen its range there, or a "

@@ -74,10 +74,6 @@ class Kinematics(ABC):
         """(S, 6, n) Jacobian of the TCP in the base frame: rows linear, then angular velocity."""
         return self.chain.forward_and_jacobian(q)[1]
 
-    def unit(self, joint: int) -> str:
-        """Unit of a joint's position, for messages."""
-        return "m" if self.chain.prismatic[joint] else "rad"
-
     def within_limits(self, q: np.ndarray) -> np.ndarray:
         """(...) bool for q (..., n): every joint inside its limits."""
         return np.all((q >= self.lower - LIMIT_SLACK) & (q <= self.upper + LIMIT_SLACK), axis=-1)
@@ -145,7 +141,7 @@ class Kinematics(ABC):
             0,
             "unreachable",
             f"the pose at {position_text(pose)} is out of reach: every solution breaks a joint limit, the best one "
-            f"that of {self.robot.joint_names[joint]} by {best[joint]:.3g} {self.unit(joint)}",
+            f"that of {self.robot.joint_names[joint]} by {best[joint]:.3g} {self.robot.joints[joint].position_unit}",
             float(best[joint]),
         )
 
