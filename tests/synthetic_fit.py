@@ -22,7 +22,7 @@ INDEX = (np.array([0, 1, 2]), np.array([1, 3, 4]))
 
 def shape(name: str, nonlinear: int = 0, usual: bool = False, transient: bool = False) -> Any:
     """As much of an effect as evidence needs: `nonlinear` parameters were chosen on the data."""
-    methods = {"counted": lambda settings: nonlinear + len(settings), "happens_once": lambda settings: transient}
+    methods = {"counted": lambda settings: nonlinear + len(settings), "is_transient": lambda settings: transient}
     methods |= {"plausible": lambda settings, values: values["a"] > len(settings) - 1}
     methods |= {
         "possible": lambda arm, joints, settings, values: values["a"] < len(joints) + len(settings) * arm.scale[0]
@@ -66,7 +66,7 @@ def synthetic_fit(given: bool = True, method: str = "weighted", guard: int = 9) 
 def synthetic_form(fit: Fit, effect: Any, joints: tuple[int, ...], width: int = 1, prior: Any = None) -> Candidate:
     """A candidate with `width` made-up columns on some joints, or on all of them where it is of the whole arm."""
     rng = np.random.default_rng([*effect.name.encode(), *joints])
-    lasts = np.abs(np.arange(len(fit.cell)) - 40) < 25 if effect.happens_once({}) else np.ones(len(fit.cell))
+    lasts = np.abs(np.arange(len(fit.cell)) - 40) < 25 if effect.is_transient({}) else np.ones(len(fit.cell))
     blocks = {joint: _smooth(rng, len(fit.cell), width) * lasts[:, None] for joint in joints or range(2)}
     return Candidate(effect, joints, {}, tuple("abc"[:width]), blocks, prior, fit.reference)
 

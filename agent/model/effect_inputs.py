@@ -147,9 +147,9 @@ class MotionSignals:
 
     `log_index` counts logs (-1 where unknown), `cycle_starts` [s] are those of its log and `started` [s] is when that
     began, counted from the first log: all for effects that happen at some time. `low_pass` is the torque's filter, of
-    whose samples it returns `kept`. Where positions are judged instead of torque, `answer` says what they show of
-    torque columns (S, K) by joint: (S', K) by joint. `through_play` says what they show, (S', K), of a joint whose
-    servo reads its link, behind gears with stiffness, gap and damping ratio (K,).
+    whose samples it returns `kept`. Where positions are judged instead of torque, `position_response` says what they
+    show of torque columns (S, K) by joint: (S', K) by joint. `through_play` says what they show, (S', K), of a joint
+    whose servo reads its link, behind gears with stiffness, gap and damping ratio (K,).
     """
 
     reference: NominalModel
@@ -162,7 +162,7 @@ class MotionSignals:
     cycle_starts: tuple[float, ...] = ()
     started: float = 0.0
     low_pass: Callable[[np.ndarray], np.ndarray] = np.asarray
-    answer: Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]] | None = None
+    position_response: Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]] | None = None
     through_play: Callable[[int, np.ndarray, np.ndarray, np.ndarray], np.ndarray] | None = None
     memory: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
@@ -174,7 +174,9 @@ class MotionSignals:
 
     def shown(self, joint: int, columns: np.ndarray) -> np.ndarray:
         """(S', K) what the recorded rows of a joint show of torque columns (S, K) on it."""
-        return self.low_pass(columns) if self.answer is None else self.answer({joint: columns})[joint]
+        if self.position_response is None:
+            return self.low_pass(columns)
+        return self.position_response({joint: columns})[joint]
 
     @cached_property
     def axles(self) -> AxleMotion:

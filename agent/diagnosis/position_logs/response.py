@@ -21,7 +21,7 @@ _AT_ONCE = 256  # numerical: columns that are stepped together
 
 @dataclass(frozen=True, eq=False)
 class LinearResponse:
-    """The answer along one motion, at the `kept` ones of S times (S,) [s].
+    """The response along one motion, at the `kept` ones of S times (S,) [s].
 
     mass (S, n, n), damping (S, n), stiffness (S, n, n); `at_once` (S, n) is damping that acts within a step: of
     friction that holds a joint, or turns with its speed.

@@ -73,10 +73,10 @@ def assemble_positions(
         at_file = residual + columns @ from_file
         for j in range(n):
             rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
-        shown = _answer(line), _through_play(line)
-        signals.append(
-            replace(line.signals, reference=reference, kept=line.rows, answer=shown[0], through_play=shown[1])
+        of_positions = replace(
+            line.signals, position_response=_position_response(line), through_play=_through_play(line)
         )
+        signals.append(replace(of_positions, reference=reference, kept=line.rows))
     joined = [np.concatenate(part) for part in rows]
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
@@ -185,14 +185,14 @@ def _rounding(fit: OutputErrorFit) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)))
 
 
-def _answer(line: LinearisedMotion) -> Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]]:
+def _position_response(line: LinearisedMotion) -> Callable[[Mapping[int, np.ndarray]], dict[int, np.ndarray]]:
     """What the positions of all joints show of torque columns."""
 
-    def answer(columns: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
+    def position_response(columns: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
         moved = line.stretch.averaged(line.response.of_torque(columns))
         return {j: moved[:, j] for j in range(moved.shape[1])}
 
-    return answer
+    return position_response
 
 
 def _through_play(line: LinearisedMotion) -> Callable[[int, np.ndarray, np.ndarray, np.ndarray], np.ndarray]:

@@ -77,7 +77,7 @@ class Candidate:
     @property
     def transient(self) -> bool:
         """Whether it happens once, so that no other log tells of it and it is judged by `single` folds."""
-        return self.effect.happens_once(self.settings)
+        return self.effect.is_transient(self.settings)
 
     def release(self) -> None:
         """Free the memory of its columns, if they can be made again."""
@@ -119,7 +119,7 @@ def make_candidates(context: FitContext, wanted: Sequence[Wanted], rough: bool =
     """
     motions = list(zip(context.signals, context.sigmas, strict=True))
     made = []
-    few = any(signals.answer is not None for signals in context.signals)  # means, each the answer of a whole motion
+    few = any(signals.position_response is not None for signals in context.signals)  # means, each of a whole motion
     for (effect, joints, settings), blocks in zip(wanted, _all_columns(motions, wanted, rough), strict=True):
         prior = effect.prior_precision(context, joints, settings)
         # not the context: it remembers the candidate, and a circle is not freed with the last reference
@@ -149,10 +149,10 @@ def _all_columns(motions: _Motions, wanted: Sequence[Wanted], rough: bool = Fals
 def _columns(motions: _Motions, wanted: Sequence[Wanted], rough: bool) -> list[dict[int, np.ndarray]]:
     parts: list[dict[int, list[np.ndarray]]] = [{} for _ in wanted]
     for signals, sigma in motions:
-        precision = np.float32 if rough and signals.answer is None else np.float64
+        precision = np.float32 if rough and signals.position_response is None else np.float64
         over = [column[:, None] for column in np.ascontiguousarray(sigma.T, dtype=precision)]
-        if signals.answer is not None:
-            _answered(signals, over, wanted, parts)
+        if signals.position_response is not None:
+            _add_in_positions(signals, over, wanted, parts)
             continue
         ready = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
         for some in _batches(signals, [(k, wanted[k]) for k, of_motion in enumerate(ready) if of_motion is None]):
@@ -166,14 +166,14 @@ def _columns(motions: _Motions, wanted: Sequence[Wanted], rough: bool) -> list[d
     return [{joint: np.concatenate(block) for joint, block in of_motion.items()} for of_motion in parts]
 
 
-def _answered(
+def _add_in_positions(
     signals: MotionSignals,
     over: Sequence[np.ndarray],
     wanted: Sequence[Wanted],
     parts: Sequence[dict[int, list[np.ndarray]]],
 ) -> None:
     """Add what positions show of each candidate to its parts: a torque on one joint moves its neighbours too."""
-    assert signals.answer is not None
+    assert signals.position_response is not None
     torques = []
     for number, (effect, joints, settings) in enumerate(wanted):
         if (shown := effect.in_positions(signals, joints, settings)) is None:
@@ -191,7 +191,7 @@ def _answered(
         for joint, block in of_form.items():
             into = together.setdefault(joint, np.zeros((len(signals.time), int(ends[-1]))))
             into[:, first:last] = block
-    for joint, moved in signals.answer(together).items():
+    for joint, moved in signals.position_response(together).items():
         for number, (first, last) in zip(torques, pairwise(ends.tolist()), strict=True):
             parts[number].setdefault(joint, []).append(moved[:, first:last] / over[joint])
 

@@ -149,7 +149,7 @@ class Effect(ABC):
         """Whether a simulator of the arm has it: neither transient nor in the set-points only."""
         return not self.transient and self.shows_in == "torque"
 
-    def happens_once(self, settings: Numbers) -> bool:
+    def is_transient(self, settings: Numbers) -> bool:
         """Whether it is transient with these nonlinear parameters."""
         return self.transient
 

@@ -75,7 +75,7 @@ class ThermalFriction(FrictionLevel):
             ),
         ]
 
-    def happens_once(self, settings: Numbers) -> bool:
+    def is_transient(self, settings: Numbers) -> bool:
         """If the drive is warm before the first log of a session ends, no other log shows that it was cold."""
         return _STARTS in settings
 
