@@ -19,6 +19,7 @@ from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, OWN_DELAY, groups_of
 from agent.diagnosis.simulator_file.released_numbers import delay_of
 from agent.diagnosis.sizes import unit_of
+from agent.model import FileNumbers
 from agent.simulators import Correction
 
 
@@ -67,7 +68,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
             elif group.kind == OFFSET:
                 value, size = float(servos.offsets(change)[joint]), float(group.scale[0])
                 ends = _ends(value, size * deviation[own][0])
-                result.append(Range(f"actuator of {name}", "offset of set-points", value, *ends, "rad"))
+                result.append(Range(f"actuator of {name}", FileNumbers.OFFSET, value, *ends, "rad"))
             else:
                 value = servos.file.delay[joint if joint >= 0 else slice(None)].mean() + delay_of(
                     released, change, group
@@ -76,7 +77,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
                 result.append(_range(owner, "delay", value, servos.delay * deviation[own][0], "s"))
             continue
         unit, way = robot.joints[joint].torque_unit, robot.joints[joint].position_unit
-        if group.kind == "friction":
+        if group.kind == FileNumbers.FRICTION:
             terms = [k for k, term in enumerate(model.terms) if term.axle == joint]
             for column, k in enumerate(terms):
                 least = group.directions[b + k, column] * deviation[own][column]

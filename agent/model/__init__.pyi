@@ -10,7 +10,7 @@ from .effects.effect import (
     FitContext as FitContext,
 )
 from .effects.payload import ball as ball
-from .effects.simulator_numbers import SimulatorNumbers as SimulatorNumbers
+from .effects.simulator_numbers import FileNumbers as FileNumbers, SimulatorNumbers as SimulatorNumbers
 from .friction_terms import (
     FORMS as FORMS,
     ODD as ODD,

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from agent.core import InputError, RejectedError
-from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, seen_from
+from agent.model import CATALOGUE, FileNumbers, IdentifiedModel, ModelEffect, seen_from
 from agent.robot import LINK_PARAMETERS, ParameterLayout, about_centre
 from agent.simulators.flange import flange_of
 
@@ -117,8 +117,8 @@ def _load_of(entry: ModelEffect, link: int) -> ModelEffect | None:
     """The entry as a load: itself, or other inertial parameters of the link that carries one, which torque does not
     distinguish from it; None where it is neither."""
     numbers = CATALOGUE[entry.effect].numbers
-    if numbers != "links" or int(entry.parameters["link"]) != link + 1:
-        return entry if numbers == "load" else None
+    if numbers != FileNumbers.LINKS or int(entry.parameters["link"]) != link + 1:
+        return entry if numbers == FileNumbers.LOAD else None
     own = tuple(f"{name}{link + 1}" for name in LINK_PARAMETERS)
     names = dict(zip(own, ("mass", *_MOMENT, *_INERTIA), strict=True))
     parameters = {names[name]: value for name, value in entry.parameters.items() if name in names}

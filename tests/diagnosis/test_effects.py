@@ -100,6 +100,11 @@ def test_finds_reports_and_saves_an_installed_effect(plug_in, tmp_path):
         ("broken", "raise RuntimeError('no such file')", "no such file"),
         ("payload", SOURCE.replace("magnet", "payload"), "the name is taken"),
         ("mute", SOURCE.replace('phrase = "a magnet pulls the joint"', ""), "lacks phrase"),
+        (
+            "unknown",
+            SOURCE.replace("linear =", 'numbers = "magnets"\n    linear ='),
+            "'magnets' is not a valid FileNumbers",
+        ),
         ("other", SOURCE, "calls itself 'magnet'"),
         ("none", "class Magnet: pass", "is no agent.model.effects.Effect"),
     ],

@@ -24,15 +24,15 @@ from agent.diagnosis.position_logs.rows import model_columns
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, LINK, LOAD, OFFSET, OWN_DELAY, Group, groups_of
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, FileNumbers
 from agent.simulators import FreeSimulator, RecordedCommand, Simulator
 
 _FLAT = 1e-6  # of the information on an effect's parameter: its prior
 #: Kinds of numbers that an effect is, by `Effect.numbers`.
-_KINDS = {
-    "friction": ("friction", "rotor inertia"),
-    "links": (LINK,),
-    "load": (LOAD,),
+_KINDS: dict[FileNumbers | None, tuple[str, ...]] = {
+    FileNumbers.FRICTION: (FileNumbers.FRICTION, "rotor inertia"),
+    FileNumbers.LINKS: (LINK,),
+    LOAD: (LOAD,),
     GAIN: (GAIN,),
     DELAY: (DELAY, OWN_DELAY),
     OFFSET: (OFFSET,),
@@ -113,7 +113,7 @@ def _side(diagnosis: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | N
         for group in (() if released is None else groups_of(released.given))
         if group.kind in _KINDS.get(numbers, ())
         and (not joints or group.joint in place[1])
-        and (numbers != "load" or group.joint == robot.load_link)
+        and (numbers != LOAD or group.joint == robot.load_link)
     )
     return _Side(effect, text, groups, None, None) if groups else None
 

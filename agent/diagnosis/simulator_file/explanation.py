@@ -37,19 +37,21 @@ from agent.diagnosis.simulator_file.reversals import with_reversals
 from agent.diagnosis.simulator_file.waterfall import waterfall
 from agent.diagnosis.verdict import Verdict, causes_of, has_size, keep_supported, name_causes
 from agent.estimation import FilterSettings, resolve_cutoff
-from agent.model import BELOW_ZERO, CATALOGUE, IdentifiedModel
+from agent.model import BELOW_ZERO, CATALOGUE, FileNumbers, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR
 
 #: Effects that are the file's numbers under another name.
-_NUMBERS = tuple(name for name, effect in CATALOGUE.items() if effect.numbers in ("friction", "links"))
+_NUMBERS = tuple(
+    name for name, effect in CATALOGUE.items() if effect.numbers in (FileNumbers.FRICTION, FileNumbers.LINKS)
+)
 #: Effects that do not show in motion, or are numbers of servos there.
 _NO_MOTION = tuple(
     name for name, effect in CATALOGUE.items() if effect.transient or effect.numbers in (GAIN, OFFSET, DELAY)
 )
 #: The effect that is links which weigh otherwise.
-_LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == "links")
+_LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == FileNumbers.LINKS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,7 @@ class Explanation:
         """
         if _may_be_links(self.selected.causes):
             return self.remaining_error <= best
-        like_load = any(candidate.effect.numbers == "load" for candidate in self.selected.causes)
+        like_load = any(candidate.effect.numbers == FileNumbers.LOAD for candidate in self.selected.causes)
         if like_load or self.released.moved.servos is not None:
             return self.remaining_error <= LIMITS.alike * best
         return self.remaining_error - best <= enough
@@ -116,7 +118,7 @@ class Explanation:
 def _may_be_links(causes: Sequence[Candidate]) -> bool:
     """Whether an effect may stand in for links that weigh otherwise: a torque over position, and no load."""
     effects = [candidate.effect for candidate in causes]
-    return any(e.numbers != "load" and (e.family == "load" or _LINKS in e.confused_with) for e in effects)
+    return any(e.numbers != FileNumbers.LOAD and (e.family == "load" or _LINKS in e.confused_with) for e in effects)
 
 
 def with_expected_error(model: IdentifiedModel, logs: Sequence[Log], share: float | None = None) -> IdentifiedModel:
@@ -278,7 +280,7 @@ def replacing_numbers(entry: Explanation, number: int, unit: np.ndarray) -> Rele
     Only causes that may be links are checked: a wrong weight of some or all links is more likely.
     """
     causes = entry.selected.causes
-    if not (causes[number].effect.numbers == "load" or _may_be_links([causes[number]])):
+    if not (causes[number].effect.numbers == FileNumbers.LOAD or _may_be_links([causes[number]])):
         return None
     others = (*causes[:number], *causes[number + 1 :])
     chosen = release(entry.released.given, others)

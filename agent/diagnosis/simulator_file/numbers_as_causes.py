@@ -30,11 +30,10 @@ from agent.diagnosis.simulator_file.released_numbers import (
     released_fit,
     stepwise_groups,
 )
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, FileNumbers
 
 #: Names of effects by the numbers of a file that they change; the built-in ones last.
 _NAMES = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}
-_ZERO = "zero of the joint"
 
 
 def causes_of_numbers(
@@ -55,7 +54,7 @@ def causes_of_numbers(
     base, change = len(model.independent), released.moved.fit.change
     probability = LAW.certain * min(gap.closure or 0.0, 1.0)
     causes = list[Cause]()
-    like_load = (EffectPlace(_NAMES["load"], ()),) if _may_be_load(released, selected.causes, gap) else ()
+    like_load = (EffectPlace(_NAMES[FileNumbers.LOAD], ()),) if _may_be_load(released, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
         part = gap.closure_without(_without(released, groups, selected.causes))
@@ -66,20 +65,25 @@ def causes_of_numbers(
     for group in _groups_that_cause(released, selected.causes, gap, doubted):
         joint = () if group.joint < 0 else (names[group.joint],)
         if load := gained_parameters(released, group):
-            like_links = (EffectPlace(_NAMES["links"], ()),)
+            like_links = (EffectPlace(_NAMES[FileNumbers.LINKS], ()),)
             own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(_NAMES["load"], (), closes(group), probability, load, like_links, own_part))
-        elif group.kind == "friction":
+            causes.append(Cause(_NAMES[FileNumbers.LOAD], (), closes(group), probability, load, like_links, own_part))
+        elif group.kind == FileNumbers.FRICTION:
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
             equal = (EffectPlace(_NAMES[GAIN], joint),) if group.joint in doubtful else ()
             equal = (*equal, *(EffectPlace(name, joint) for name in likely_effects_on(released, selected, group)))
             own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(_NAMES["friction"], joint, closes(group), probability, parameters, equal, own_part))
+            causes.append(
+                Cause(_NAMES[FileNumbers.FRICTION], joint, closes(group), probability, parameters, equal, own_part)
+            )
         elif group.kind == GAIN and released.given.servos is not None:
             servos, j = released.given.servos, group.joint
             parameters = {"scale_error": float(servos.file.kp[j] / servos.gains(change)[j] - 1)}
-            equal = (*like_load, *((EffectPlace(_NAMES["friction"], joint),) if group.joint in doubtful else ()))
+            equal = (
+                *like_load,
+                *((EffectPlace(_NAMES[FileNumbers.FRICTION], joint),) if group.joint in doubtful else ()),
+            )
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(_NAMES[GAIN], joint, closes(group), probability, parameters, equal, own_part))
         elif group.kind == OFFSET and released.given.servos is not None:
@@ -99,8 +103,8 @@ def causes_of_numbers(
         )  # what makes most is first
         parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
         last = any(group.kind == LINK and group.joint == released.given.robot.load_link for group in bodies)
-        as_load = (EffectPlace(_NAMES["load"], ()),) if last and released.given.servos is not None else ()
-        causes.append(Cause(_NAMES["links"], (), closes(*bodies), probability, parameters, as_load))
+        as_load = (EffectPlace(_NAMES[FileNumbers.LOAD], ()),) if last and released.given.servos is not None else ()
+        causes.append(Cause(_NAMES[FileNumbers.LINKS], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
 
 
@@ -159,7 +163,7 @@ def _like_offset(
     definition, and what leaves as little in its stead: another zero of the joint, or a load."""
     names, joint = released.given.robot.joint_names, group.joint
     others = [other for other in released.groups if other is not group]
-    zero = CATALOGUE[_NAMES[_ZERO]]
+    zero = CATALOGUE[_NAMES[FileNumbers.ZERO]]
     loads = [entry for entry in load_groups(released.given) if (entry.kind, entry.joint) not in released.parts]
 
     def as_little(fit: Fit) -> bool:
@@ -171,7 +175,7 @@ def _like_offset(
     loaded = released_fit(released.given, [*others, *loads]).with_chosen(causes)
     alike = [EffectPlace(name, (names[joint],)) for name in CATALOGUE[_NAMES[OFFSET]].structurally_equivalent]
     alike += [EffectPlace(zero.name, (names[joint],))] if as_little(with_zero) else []
-    alike += [EffectPlace(_NAMES["load"], ())] if loads and as_little(loaded) else []
+    alike += [EffectPlace(_NAMES[FileNumbers.LOAD], ())] if loads and as_little(loaded) else []
     return tuple(alike)
 
 

@@ -10,14 +10,15 @@ import numpy as np
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.servos import PositionLayout
+from agent.model import FileNumbers
 from agent.robot import ParameterLayout
 
 #: Kinds of groups of servos.
-GAIN, BEND, OFFSET, DELAY = "servo gain", "bend of damping", "offset of set-points", "delay of the command"
+GAIN, BEND, OFFSET, DELAY = FileNumbers.GAIN, "bend of damping", FileNumbers.OFFSET, FileNumbers.DELAY
 #: How much more than that of the arm.
 OWN_DELAY = "own delay"
 #: Kinds of groups of links: ten numbers of one, or the mass and first moments of a load at the last.
-LINK, LOAD = "link inertia", "load"
+LINK, LOAD = "link inertia", FileNumbers.LOAD
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ def groups_of(dataset: Dataset) -> list[Group]:
         for column, k in enumerate(own):
             level = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
             columns[base + k, column] = level
-        friction.append(Group("friction", joint, columns, columns[[base + k for k in own], range(len(own))]))
+        friction.append(Group(FileNumbers.FRICTION, joint, columns, columns[[base + k for k in own], range(len(own))]))
         for kind, place, groups in (
             ("rotor inertia", slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
             (LINK, layout.link(joint), links),
@@ -152,7 +153,9 @@ def damping_bends(dataset: Dataset) -> list[Group]:
     if (servos := dataset.servos) is None:
         return []
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
-    viscous = [group.scale[-1] / speed[group.joint] for group in groups_of(dataset) if group.kind == "friction"]
+    viscous = [
+        group.scale[-1] / speed[group.joint] for group in groups_of(dataset) if group.kind == FileNumbers.FRICTION
+    ]
     return _one_by_one(BEND, servos.layout, servos.layout.bend, np.array(viscous))
 
 

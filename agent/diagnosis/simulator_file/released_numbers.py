@@ -20,7 +20,7 @@ from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, precision_of
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, LOAD, OWN_DELAY, Group, groups_of
-from agent.model import IdentifiedModel, NominalModel
+from agent.model import FileNumbers, IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
 
@@ -124,7 +124,7 @@ def stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Ca
     starts = [list(pool), [group for group in pool if group.kind == DELAY]]
     best, chosen = min(map(stepwise, starts), key=lambda entry: entry[0])
     for gain in (group for group in pool if group.kind == GAIN and group not in chosen):
-        others = [g for g in chosen if g.joint != gain.joint or g.kind not in ("friction", "rotor inertia")]
+        others = [g for g in chosen if g.joint != gain.joint or g.kind not in (FileNumbers.FRICTION, "rotor inertia")]
         if len(others) < len(chosen) - 1 and (swapped := error([*others, gain])) < best:
             chosen, best = [*others, gain], swapped
     ordered: list[Group] = []

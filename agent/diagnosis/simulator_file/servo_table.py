@@ -17,13 +17,18 @@ from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, Group, drive_groups
 from agent.diagnosis.simulator_file.released_numbers import released_fit
 from agent.diagnosis.sizes import jackknife
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, FileNumbers
 from agent.simulators import KINDS, ServoNumbers
 
 #: Keys of a result, in its order: kinds of numbers, the delay with its unit.
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s", "offset")
 #: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
-_NUMBERS_OF = {GAIN: ("kp",), "friction": ("damping", "friction"), DELAY: ("delay",), OFFSET: ("offset",)}
+_NUMBERS_OF: dict[FileNumbers | None, tuple[str, ...]] = {
+    GAIN: ("kp",),
+    FileNumbers.FRICTION: ("damping", "friction"),
+    DELAY: ("delay",),
+    OFFSET: ("offset",),
+}
 _LEAST_GAIN = 1e-9  # numerical: N·m/rad
 _RATIOS = ("damping", "armature", "friction")
 _OF_GAIN = ("kp", *_RATIOS)
@@ -165,7 +170,7 @@ def _whole_torque(dataset: Dataset) -> np.ndarray:
     """(6, n) of each number what would take all of its joint's torque; of a delay nothing."""
     whole = ServoNumbers.of_table(np.zeros((len(KINDS), dataset.robot.dof)))
     for group in drive_groups(dataset):
-        if group.kind == "friction":
+        if group.kind == FileNumbers.FRICTION:
             whole.friction[group.joint], whole.damping[group.joint] = group.scale
         elif group.kind == GAIN:
             whole.kp[group.joint] = group.scale[0]

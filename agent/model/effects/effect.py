@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.experiments import THREE_LOADS, SeparatingMotion
-from agent.model.effects.simulator_numbers import SimulatorNumbers
+from agent.model.effects.simulator_numbers import FileNumbers, SimulatorNumbers
 from agent.model.passive_forces import PassiveForces
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class Effect(ABC):
     | `components` | what the parts of one size are called together, and their names |
     | `not_reported` | settings that no page shows |
     | `sizes` | parameters that must be positive |
-    | `numbers` | numbers of a simulator's file that change under its name: friction, links, load, servo gain, … |
+    | `numbers` | a kind of `FileNumbers` that changes under its name in a simulator's file; None: none |
     | `scales_report`, `adds_to_report` | parameters by which the reported torque is off: factor − 1, and offset |
     | `stepped` | its form in the file of effects of a corrected simulator (`standalone_effects`); empty: none |
     | `of_servos` | `phrase` and `look_at` where torque is that of position servos |
@@ -138,11 +138,20 @@ class Effect(ABC):
     components: ClassVar[tuple[str, tuple[str, ...]] | None] = None
     not_reported: ClassVar[tuple[str, ...]] = ()
     sizes: ClassVar[tuple[str, ...]] = ()
-    numbers: ClassVar[str] = ""
+    numbers: ClassVar[FileNumbers | None] = None
     adds_to_report: ClassVar[str | None] = None
     scales_report: ClassVar[str | None] = None
     stepped: ClassVar[str] = ""
     of_servos: ClassVar[tuple[str, str] | None] = None
+
+    def __init_subclass__(cls) -> None:
+        """Refuse a kind of numbers that no file has.
+
+        Raises:
+            ValueError: `numbers` is none of `FileNumbers`.
+        """
+        super().__init_subclass__()
+        cls.numbers = None if cls.numbers is None else FileNumbers(cls.numbers)
 
     @property
     def of_the_arm(self) -> bool:

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import BENDS, Columns, Effect, Joints, Numbers
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.effects.simulator_numbers import SimulatorNumbers
+from agent.model.effects.simulator_numbers import FileNumbers, SimulatorNumbers
 
 
 class EncoderOffset(Effect):
@@ -25,7 +25,7 @@ class EncoderOffset(Effect):
     needs_travel = BENDS
     units = MappingProxyType({"offset": "rad"})
     leading = ("offset",)
-    numbers = "zero of the joint"
+    numbers = FileNumbers.ZERO
     experiment = WHOLE_RANGE
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:

@@ -9,7 +9,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals, NominalModel
 from agent.model.effects.effect import FitContext, Joints, Numbers, rubs
 from agent.model.effects.friction_level import FrictionLevel
-from agent.model.effects.simulator_numbers import SimulatorNumbers
+from agent.model.effects.simulator_numbers import FileNumbers, SimulatorNumbers
 
 
 class FrictionChange(FrictionLevel):
@@ -33,7 +33,7 @@ class FrictionChange(FrictionLevel):
     needs_reversals = 1
     shapes = ("speed",)
     not_reported = ("coulomb", "viscous")
-    numbers = "friction"
+    numbers = FileNumbers.FRICTION
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         return [{"coulomb": 1.0}, {"viscous": 1.0}, {"coulomb": 1.0, "viscous": 1.0}]

@@ -10,7 +10,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
-from agent.model.effects.simulator_numbers import SimulatorNumbers
+from agent.model.effects.simulator_numbers import FileNumbers, SimulatorNumbers
 from agent.robot import LINK_PARAMETERS, ParameterLayout
 
 
@@ -33,7 +33,7 @@ class InertialMismatch(Effect):
     leading = ("m",)
     shapes = ("mass",)
     experiment = POSTURES
-    numbers = "links"
+    numbers = FileNumbers.LINKS
     nonlinear = ()
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:

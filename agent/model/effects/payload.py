@@ -9,7 +9,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import BELOW_ZERO, Columns, Effect, FitContext, Joints, Numbers
 from agent.model.effects.experiments import POSTURES
-from agent.model.effects.simulator_numbers import SimulatorNumbers
+from agent.model.effects.simulator_numbers import FileNumbers, SimulatorNumbers
 from agent.robot import ParameterLayout
 
 _ROUNDS = 6  # numerical: of Gauss and Newton
@@ -45,7 +45,7 @@ class Payload(Effect):
     experiment = POSTURES
     residual_driven = True
     not_reported = (*_START, _POINT)
-    numbers = "load"
+    numbers = FileNumbers.LOAD
     nonlinear = ()
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:

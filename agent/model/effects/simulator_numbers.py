@@ -4,8 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
+
+
+class FileNumbers(StrEnum):
+    """Kinds of numbers of a simulator's file that an effect may be under another name."""
+
+    FRICTION = "friction"
+    LINKS = "links"
+    LOAD = "load"
+    GAIN = "servo gain"
+    OFFSET = "offset of set-points"
+    DELAY = "delay of the command"
+    ZERO = "zero of the joint"
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, FitContext, Joints, Numbers, geometric, near_one
 from agent.model.effects.experiments import SHARP_REVERSALS
+from agent.model.effects.simulator_numbers import FileNumbers
 
 _LONGEST = 0.05  # s
 _BRIEF = 1e-3  # numerical: s, from where on delays are tried
@@ -42,7 +43,7 @@ class TimeDelay(Effect):
     residual_driven = True
     fast_torque = True
     moves_arm = False
-    numbers = "delay of the command"
+    numbers = FileNumbers.DELAY
     nonlinear = ()
     of_servos = ("set-points act later than they were recorded", "bus, rate and stamps of the set-points")
 

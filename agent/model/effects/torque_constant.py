@@ -6,6 +6,7 @@ from types import MappingProxyType
 
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers, near_one, on_axle
+from agent.model.effects.simulator_numbers import FileNumbers
 
 
 class TorqueConstant(Effect):
@@ -26,7 +27,7 @@ class TorqueConstant(Effect):
     units = MappingProxyType({"scale_error": "%"})
     leading = ("scale_error",)
     scales_report = "scale_error"
-    numbers = "servo gain"
+    numbers = FileNumbers.GAIN
     of_servos = ("its servo has another gain", "the gain (P) of this servo in its firmware, and its supply voltage")
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from agent.model.effect_inputs import MotionSignals
 from agent.model.effects.effect import Columns, Effect, Joints, Numbers, on_axle
 from agent.model.effects.experiments import RAMPS_AND_STANDSTILLS
+from agent.model.effects.simulator_numbers import FileNumbers
 
 
 class TorqueOffset(Effect):
@@ -32,7 +33,7 @@ class TorqueOffset(Effect):
     units = MappingProxyType({"offset": "N·m", "set_point_offset": "rad"})
     leading = ("set_point_offset", "offset")
     adds_to_report = "offset"
-    numbers = "offset of set-points"
+    numbers = FileNumbers.OFFSET
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return on_axle(signals.reference, joints[0], np.ones(len(signals.time)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from agent.core import AgentError, package_version, plus_minus
 from agent.diagnosis import Diagnosis, Simulated, could_show, has_torque_gap, reported_parameters, simulation_part
-from agent.model import CATALOGUE, PAYLOAD, ModelEffect
+from agent.model import CATALOGUE, PAYLOAD, FileNumbers, ModelEffect
 from agent.pages.diagnosis.figures import (
     band_map,
     gap_table,
@@ -128,7 +128,7 @@ def _recorded(logs: Sequence[Log]) -> str:
 def _load_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, str, str]]:
     """The centre of mass of a load that was found, in the frame in which it is entered at the controller."""
     for cause, intervals in zip(diagnosis.result["causes"], diagnosis.result["intervals"], strict=True):
-        if CATALOGUE[cause["effect"]].numbers != "load":
+        if CATALOGUE[cause["effect"]].numbers != FileNumbers.LOAD:
             continue
         effect = ModelEffect(cause["effect"], (), cause["parameters"], intervals)
         try:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError, RejectedError, sha256_file, write_atomically
-from agent.model import seen_from
+from agent.model import FileNumbers, seen_from
 from agent.robot import about_centre
 from agent.simulators.arm import smooth_torque
 from agent.simulators.corrected.correction import Correction
@@ -27,8 +27,6 @@ from agent.simulators.servos import PositionServos
 
 SCHEMA = "simulator-changes/1"
 _TOLERANCE = 1e-8  # of the largest torque, between what is written and what was meant
-#: What an offset of set-points is called among the changes.
-OFFSET = "offset of set-points"
 _LEAST = 1e-12  # relative, that a number changes
 
 
@@ -143,7 +141,7 @@ def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]
             yield _change(f"actuator of {joint}", "kp", -before[1], -bias[1], released.gains[k])
         if servos.offset[k] != original.offset[k]:
             reason, pair = released.gains[k], (float(original.offset[k]), float(servos.offset[k]))
-            yield _change(f"actuator of {joint}", OFFSET, *pair, reason)
+            yield _change(f"actuator of {joint}", FileNumbers.OFFSET, *pair, reason)
         if servos.delay[k] != original.delay[k]:
             edits.set_delay(k, float(servos.delay[k]), original.step)
             yield _change(
@@ -151,7 +149,7 @@ def _servo_changes(correction: Correction, edits: MjcfEdits) -> Iterator[Change]
                 "delay",
                 float(original.delay[k]),
                 float(servos.delay[k]),
-                "delay of the command",
+                FileNumbers.DELAY,
             )
         if bias[2] and (moved or bias[2] != before[2]):
             unchanged = "as it was: a dampratio would move it with the masses"

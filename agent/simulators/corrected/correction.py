@@ -13,7 +13,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from agent.model import CATALOGUE, IdentifiedModel, ModelEffect, is_body, nearby_body, nearest_bodies, seen_from
+from agent.model import (
+    CATALOGUE,
+    FileNumbers,
+    IdentifiedModel,
+    ModelEffect,
+    is_body,
+    nearby_body,
+    nearest_bodies,
+    seen_from,
+)
 from agent.robot import ParameterLayout
 from agent.simulators.arm import SimulatedArm, described, model_of
 from agent.simulators.effect_numbers import further, tilted, with_spring, with_zero
@@ -145,7 +154,7 @@ def with_servos(
     pairs = ((getattr(changed, kind), getattr(servos, kind)) for kind in ("stiffness", "damping", "delay", "offset"))
     moved = np.any([new != old for new, old in pairs], axis=0)
     for k in np.flatnonzero(moved).tolist():
-        released.gains[k] = reasons.get(found.arm.joint_names[k], "delay of the command")
+        released.gains[k] = reasons.get(found.arm.joint_names[k], FileNumbers.DELAY)
     for k in np.flatnonzero(simulated.impedance != found.arm.impedance).tolist():
         released.holding[k] = "friction holds the stationary joint"
     arm = replace(found.arm, servos=changed, impedance=simulated.impedance, excluded=simulated.excluded)

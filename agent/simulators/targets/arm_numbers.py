@@ -13,6 +13,7 @@ import numpy as np
 from agent.core import LARGEST_JSON, InputError, read_json, read_text
 from agent.model import (
     CATALOGUE,
+    FileNumbers,
     IdentifiedModel,
     ModelEffect,
     PassiveForces,
@@ -22,7 +23,6 @@ from agent.model import (
 )
 from agent.robot import Dynamics, ParameterLayout, rotor_mass_matrix
 from agent.simulators.arm import USUAL_SPEED, SimulatedArm
-from agent.simulators.corrected.corrected_file import OFFSET
 from agent.simulators.effect_numbers import in_numbers, left_out, torque_text, usual_motion
 from agent.simulators.export import assumed, body_texts, friction_lines
 from agent.simulators.loader import is_simulator, load_arm, load_simulator
@@ -171,7 +171,7 @@ def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
 def _offset_reasons(path: Path) -> dict[str, str]:
     """Why servos of joints stand off their set-points, by joint."""
     try:
-        entries = [entry for entry in read_json(path).get("changes", ()) if entry["attribute"] == OFFSET]
+        entries = [entry for entry in read_json(path).get("changes", ()) if entry["attribute"] == FileNumbers.OFFSET]
         return {entry["element"].removeprefix("actuator of "): str(entry["reason"]) for entry in entries}
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(_NOT_OURS.format(path)) from None

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agent.core import InputError, write_atomically
-from agent.model import CATALOGUE
+from agent.model import CATALOGUE, FileNumbers
 from agent.runs import make_folder
 from agent.simulators.targets import genesis, isaaclab, mjcf, mjlab, newton, usd
 from agent.simulators.targets.arm_numbers import ArmNumbers
@@ -44,7 +44,7 @@ TARGETS = {
     "genesis": Target("Genesis", genesis.files, 0.01, computes_servo=False),
 }
 _LEFT_OUT = "left_out.json"
-_OFFSET = next(effect.name for effect in CATALOGUE.values() if effect.numbers == "offset of set-points")
+_OFFSET = next(effect.name for effect in CATALOGUE.values() if effect.numbers == FileNumbers.OFFSET)
 _NEARLY = "in the files, but not exactly"
 
 
