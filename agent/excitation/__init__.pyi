@@ -3,7 +3,7 @@ from .criterion import Criterion as Criterion
 from .genetic import LoopScore as LoopScore, ranking as ranking
 from .loop_search import search as search
 from .reach import check_sub_region as check_sub_region, working_box as working_box
-from .set_points import (
+from .set_point_plan import (
     CHIRP as CHIRP,
     EXCITATIONS as EXCITATIONS,
     REVERSALS as REVERSALS,

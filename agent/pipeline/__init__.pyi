@@ -7,14 +7,14 @@ from .checked_logs import (
 )
 from .compare import compare_runs as compare_runs
 from .gap.diagnose import diagnose_files as diagnose_files, diagnose_recording as diagnose_recording
-from .gap.printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
-from .gap.question import (
+from .gap.diagnosis_question import (
     BUDGET as BUDGET,
     GapQuestion as GapQuestion,
     budget_of as budget_of,
     planning_time as planning_time,
 )
-from .gap.set_points import plan_of_file as plan_of_file
+from .gap.printed_diagnosis import diagnosis_text as diagnosis_text, planned_text as planned_text
+from .gap.set_point_files import plan_of_file as plan_of_file
 from .identify import (
     MAP_OR_PRESET as MAP_OR_PRESET,
     FitQuestion as FitQuestion,

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.recording.datasets.episodes import HELD, HOLD, SMOOTH, Episode
-from agent.recording.datasets.set_points import are_followed
+from agent.recording.datasets.position_commands import are_followed
 from agent.recording.log import NANO, Repair
 from agent.recording.mcap.message_forms import NAMELESS
 from agent.recording.mcap.scan import Messages, Scan

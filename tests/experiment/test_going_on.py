@@ -12,8 +12,8 @@ from agent.core import ControllerError, InputError, MismatchError
 from agent.experiment import BRAKES
 from agent.pipeline import GapQuestion
 from agent.pipeline.ending import resume_advice
+from agent.pipeline.gap.diagnosis_question import options_of
 from agent.pipeline.gap.next_steps import after_diagnosis
-from agent.pipeline.gap.question import options_of
 from agent.runs.folder import RunFolder
 
 STOPPED = KeyboardInterrupt()

@@ -164,7 +164,7 @@ def test_elements_get_another_name_at_both_ends_and_all_else_stays():
 
 
 def test_a_format_that_the_simulator_does_not_have_is_refused(tmp_path):
-    from agent.pipeline.gap.simulator import check_simulator_out
+    from agent.pipeline.gap.corrected_output import check_simulator_out
 
     simulator(tmp_path, "urdf")
     with pytest.raises(InputError, match="here it is a URDF"):

@@ -30,10 +30,10 @@ from agent.diagnosis.verdict import Verdict
 from agent.estimation import estimate
 from agent.model import CATALOGUE, IdentifiedModel, Reversal, possible_model
 from agent.pages.diagnosis.page import diagnosis_report
+from agent.pipeline.gap.corrected_output import write_simulator
 from agent.pipeline.gap.diagnose import GapQuestion, diagnose_again, diagnose_files
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.printed_diagnosis import diagnosis_text
-from agent.pipeline.gap.simulator import write_simulator
 from agent.recording import read_log, write_log
 from agent.simulators import export_model, load_simulator
 from fake_controller.plant import Plant

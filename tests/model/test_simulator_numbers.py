@@ -21,8 +21,8 @@ from agent.experiment import open_pairs
 from agent.model import CATALOGUE
 from agent.pages import headline, verdict_text
 from agent.pipeline import GapQuestion, check_plausible
+from agent.pipeline.gap.corrected_output import beyond_range
 from agent.pipeline.gap.next_steps import after_diagnosis
-from agent.pipeline.gap.simulator import beyond_range
 from agent.recording import read_log
 from agent.simulators import load_simulator
 from tests.model.bench import CHAIN, URDF, recorded, scene, written

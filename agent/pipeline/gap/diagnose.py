@@ -16,12 +16,12 @@ from agent.experiment import Deadline, NoMotion
 from agent.model import CATALOGUE, payload_of
 from agent.pages import diagnosis_report, in_short, summary
 from agent.pipeline.checked_logs import load_arm
+from agent.pipeline.gap.corrected_output import run_forward, write_simulator
+from agent.pipeline.gap.diagnosis_question import GapQuestion, options_of
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun, read_at_rest, read_reference, run_diagnosis
 from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next, write_next
 from agent.pipeline.gap.next_steps import after_diagnosis
-from agent.pipeline.gap.question import GapQuestion, options_of
-from agent.pipeline.gap.set_points import next_set_points
-from agent.pipeline.gap.simulator import run_forward, write_simulator
+from agent.pipeline.gap.set_point_files import next_set_points
 from agent.pipeline.gap.until_sure import Rounds, until_sure
 from agent.pipeline.job import Job, validation_logs
 from agent.pipeline.plan import plan_once

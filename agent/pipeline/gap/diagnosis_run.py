@@ -12,8 +12,8 @@ from agent.diagnosis import Diagnosis, Simulated, channel_zero, diagnose, simula
 from agent.model import IdentifiedModel
 from agent.pipeline.checked_logs import check_one_machine, check_plausible, joints_of, read_logs, say_used
 from agent.pipeline.declared_effort import check_torque
+from agent.pipeline.gap.diagnosis_question import GapQuestion
 from agent.pipeline.gap.next_experiment import check_arm, check_tool
-from agent.pipeline.gap.question import GapQuestion
 from agent.recipe import load_recipe
 from agent.recording import Log, is_dataset, is_nameless, read_log
 from agent.robot import RobotDescription

@@ -12,7 +12,7 @@ from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS, TOGETHER, could_show
 from agent.experiment import BRAKES, DRIVES_OFF
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel
 from agent.pages import NextStep
-from agent.pipeline.gap.question import PLANNING_BUDGET, GapQuestion
+from agent.pipeline.gap.diagnosis_question import PLANNING_BUDGET, GapQuestion
 from agent.pipeline.identify import what_a_model_lacks
 from agent.simulators import is_simulator
 

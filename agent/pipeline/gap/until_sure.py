@@ -11,9 +11,9 @@ from agent.core import Console, sha256_text, words_of
 from agent.diagnosis import could_show
 from agent.experiment import LONGEST, Deadline, NoMotion
 from agent.link import Recording, open_link
+from agent.pipeline.gap.diagnosis_question import SHORTEST
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.next_experiment import plan_next
-from agent.pipeline.gap.question import SHORTEST
 from agent.pipeline.job import Job
 from agent.recording import PARTS, PLANNED_PARTS
 from agent.runs import run_key

@@ -15,7 +15,7 @@ from agent.recording.datasets.isaac_csv import is_isaac_csv, read_isaac_csv
 from agent.recording.datasets.joints import columns_of, side_of, without_side
 from agent.recording.datasets.lerobot import INFO, is_lerobot, read_lerobot
 from agent.recording.datasets.pace import read_pace
-from agent.recording.datasets.set_points import checked
+from agent.recording.datasets.position_commands import checked
 from agent.recording.log import NANO, Log, Repair
 from agent.recording.mcap.log_file import nanoseconds
 from agent.recording.repair.stamps import put_in_order, spacing_of

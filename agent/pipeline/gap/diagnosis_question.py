@@ -9,8 +9,8 @@ from pathlib import Path
 from agent.core import Bare, Dimension, InputError, parse_quantity
 from agent.diagnosis import check_effects
 from agent.model import payload_of
+from agent.pipeline.gap.corrected_output import check_simulator_out
 from agent.pipeline.gap.next_experiment import check_next
-from agent.pipeline.gap.simulator import check_simulator_out
 from agent.runs import check_output
 
 #: Default of `--planning-budget` [s], and of `--budget`.
