@@ -83,7 +83,7 @@ def held_out_errors(logs: dict, folder: Path) -> list[tuple]:
     """Label, held-out errors by the same filter, and seconds of the fit, of the agent and of what figaroh predicted."""
     from agent.core import one_blas_thread
     from agent.estimation import EstimationSettings, FilterSettings, estimate
-    from agent.estimation.filtering import motions
+    from agent.estimation.signals.filtering import motions
     from agent.validation import validate
 
     rows = []

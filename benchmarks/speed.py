@@ -83,7 +83,7 @@ def candidate_ms() -> dict[str, float]:
     from agent.core import one_blas_thread
     from agent.excitation import Candidates, Criterion
     from agent.excitation.loop_search import Scorer
-    from agent.pipeline.plan import loop_problem
+    from agent.pipeline.planning.plan import loop_problem
     from agent.recipe import load_recipe
 
     recipe = load_recipe(RECIPE)
@@ -208,7 +208,7 @@ def table(title: str, trees: dict[str, Path], values: Table) -> None:
 
 def write(path: Path, seconds: float, seed: int = 0, stribeck: float = 0.0) -> None:
     """A log of the emulated arm on a random loop, with Stribeck friction on joint 2 up to a level [N·m]."""
-    from agent.pipeline.plan import loop_problem
+    from agent.pipeline.planning.plan import loop_problem
     from agent.recipe import load_recipe
     from agent.recording import write_log
     from benchmarks.evidence.emulation import repeated

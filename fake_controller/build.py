@@ -14,8 +14,8 @@ from fake_controller.clock import CLOCKS
 from fake_controller.controller import PERIOD, Controller
 from fake_controller.faults import Fault, Faults, check_wire
 from fake_controller.interpolation import build_interpolator
-from fake_controller.interpreter import left_over
 from fake_controller.plant import Plant
+from fake_controller.program.interpreter import left_over
 from fake_controller.ros2.cell import IMPOSSIBLE as ON_ROS2, Ros2Cell
 from fake_controller.ur.arm import MODELS
 from fake_controller.ur.cell import IMPOSSIBLE, UrCell

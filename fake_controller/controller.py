@@ -19,10 +19,10 @@ from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.clock import Clock
 from fake_controller.execution import CannotMove, Chain, Execution, Planner, Slice, StopSwitch
 from fake_controller.faults import Fault, Faults, FaultyController
-from fake_controller.frames import tool_point
-from fake_controller.interpreter import FACTORY, Interpreter
 from fake_controller.plant import Plant
-from fake_controller.programs import ProgramMemory, RefusedRequest, check_program
+from fake_controller.program.frames import tool_point
+from fake_controller.program.interpreter import FACTORY, Interpreter
+from fake_controller.program.memory import ProgramMemory, RefusedRequest, check_program
 from fake_controller.state import State, home
 
 CONTROLLER = "fake controller"

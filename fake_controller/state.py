@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from agent.robot import RobotDescription
 from drivers.wire.reasons import EndReason, Refusal
-from fake_controller.programs import RefusedRequest
+from fake_controller.program.memory import RefusedRequest
 
 #: Of each fault of the cell: what changes, the alarm, and why the arm stops.
 _FAULTS: dict[str, tuple[dict[str, bool | str], tuple[str, ...], EndReason, str]] = {

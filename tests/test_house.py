@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from itertools import pairwise
@@ -33,6 +34,17 @@ def test_no_class_name_stands_for_two_things():
             for name in re.findall(r"^class (\w+)", path.read_text("utf-8"), re.M):
                 places.setdefault(name, []).append(path.relative_to(ROOT).as_posix())
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
+#: Leaves: one module each for whoever adds one.
+LEAVES = {"agent/model/effects"}
+
+
+def test_a_folder_has_at_most_twelve_modules():
+    """More are not read as one thing; a package in it says what some of them are."""
+    modules = [path for package in PACKAGES for path in _modules(package) if path.name != "__init__.py"]
+    counts = Counter(path.parent.relative_to(ROOT).as_posix() for path in modules)
+    assert {folder: count for folder, count in counts.items() if count > 12 and folder not in LEAVES} == {}
 
 
 def test_a_package_is_imported_through_its_public_names():

@@ -10,10 +10,8 @@ import numpy as np
 
 from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.estimation.estimators import ESTIMATORS
-from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
 from agent.estimation.normal_equations import predicts_better
-from agent.estimation.observation import ENOUGH_TIME, Observation, observe
 from agent.estimation.partition import Partition, partition
 from agent.estimation.problem import Problem, standstill_runs
 from agent.estimation.selection import (
@@ -24,6 +22,8 @@ from agent.estimation.selection import (
     predictive_cutoff,
     select_friction_terms,
 )
+from agent.estimation.signals.filtering import FilterSettings
+from agent.estimation.signals.observation import ENOUGH_TIME, Observation, observe
 from agent.model import IdentifiedModel, Reversal
 from agent.recording import Log
 from agent.robot import RigidBodies, RobotDescription, Tool, rigid_bodies

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from agent.estimation.filtering import FilterSettings
 from agent.estimation.normal_equations import CERTAIN, autocorrelation_time, observed_standstill_speed
-from agent.estimation.observation import Observation, observe
 from agent.estimation.selection import paper_terms
+from agent.estimation.signals.filtering import FilterSettings
+from agent.estimation.signals.observation import Observation, observe
 from agent.model import Reversal
 from agent.recording import Log
 from agent.robot import RobotDescription, rigid_bodies

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from agent.estimation.normal_equations import Moments, observed_standstill_speed
-from agent.estimation.observation import ENOUGH_TIME, Observation
 from agent.estimation.partition import SELDOM_SHARE, SLIDING_SHARE
 from agent.estimation.prior import DESCRIPTION
 from agent.estimation.problem import Estimate, Problem
 from agent.estimation.selection import paper_terms
+from agent.estimation.signals.observation import ENOUGH_TIME, Observation
 from agent.estimation.uncertainty import covariance, parameter_prior, unobserved_directions
 from agent.model import BAD_CONDITION, RESTS, IdentifiedModel, Reversal, condition_text
 from agent.recording import Log, machines_of

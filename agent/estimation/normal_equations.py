@@ -13,9 +13,9 @@ from itertools import pairwise
 import numpy as np
 
 from agent.core import symmetric_eigen
-from agent.estimation.observation import Observation
 from agent.estimation.partition import Partition
 from agent.estimation.prior import Prior
+from agent.estimation.signals.observation import Observation
 from agent.model import FrictionTerm, standstill_speed
 
 _SURELY_SLIDES = 0.005  # of the highest speed: more than where a diagnosis leaves the torque open

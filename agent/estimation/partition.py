@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.estimation.observation import Segment
+from agent.estimation.signals.observation import Segment
 
 #: A joint slides above this part of its highest speed; less than that part of its sliding is none.
 SLIDING_SHARE, SELDOM_SHARE = 0.05, 0.02

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.estimation.observation import Observation
+from agent.estimation.signals.observation import Observation
 from agent.model import FORMS, FrictionTerm, link_scale
 from agent.robot import ParameterLayout
 

@@ -16,9 +16,9 @@ from agent.estimation.normal_equations import (
     reweight,
     solve_sum,
 )
-from agent.estimation.observation import Observation
 from agent.estimation.partition import Partition
 from agent.estimation.prior import DESCRIPTION, Prior, physical_prior
+from agent.estimation.signals.observation import Observation
 from agent.model import FrictionTerm
 
 _ROUNDS = 4  # of weights from residuals

@@ -21,12 +21,12 @@ import numpy as np
 
 from agent.core import InputError
 from agent.estimation.estimators import ESTIMATORS
-from agent.estimation.filtering import FilterSettings
 from agent.estimation.model_building import build_model
 from agent.estimation.normal_equations import reweight, solve_scaled
-from agent.estimation.observation import Observation, observe
 from agent.estimation.partition import partition
 from agent.estimation.problem import Estimate, Problem
+from agent.estimation.signals.filtering import FilterSettings
+from agent.estimation.signals.observation import Observation, observe
 from agent.estimation.uncertainty import jackknife
 from agent.model import IdentifiedModel, ParameterPrior
 from agent.recording import Log

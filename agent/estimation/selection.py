@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from agent.estimation.normal_equations import clear_gain, log_evidence, predicts_better
-from agent.estimation.observation import Observation
 from agent.estimation.partition import Partition
 from agent.estimation.prior import DESCRIPTION, EITHER, SIZE, Prior
 from agent.estimation.problem import Estimate, Problem
+from agent.estimation.signals.observation import Observation
 from agent.model import FrictionTerm, Reversal
 from agent.robot import LINK_PARAMETERS
 

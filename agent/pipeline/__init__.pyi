@@ -28,7 +28,7 @@ from .identify import (
 )
 from .job import Outcome as Outcome
 from .learn import learn_files as learn_files
-from .plan_files import PlanFiles as PlanFiles, plan_recipe as plan_recipe
+from .planning.plan_files import PlanFiles as PlanFiles, plan_recipe as plan_recipe
 from .rebuilt_report import rebuild_report as rebuild_report
 from .recalibrate import run_recalibration as run_recalibration
 from .reports import write_index as write_index

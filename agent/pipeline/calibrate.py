@@ -14,7 +14,7 @@ from agent.pages import LogHealth
 from agent.pipeline.checked_logs import check_one_machine, check_run, read_logs
 from agent.pipeline.ending import current_run
 from agent.pipeline.job import EXCITATION, Job, Outcome, validation_logs
-from agent.pipeline.plan import plan_once
+from agent.pipeline.planning.plan import plan_once
 from agent.pipeline.reports import against_last, calibration_page, typical_motion, write_analysis
 from agent.pipeline.result import calibration_result, conditions, temperatures
 from agent.recipe import Recipe

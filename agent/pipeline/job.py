@@ -11,8 +11,8 @@ from typing import Any
 from agent.core import AgentError, Console, ControllerError, InputError, counted, sha256_file
 from agent.link import MotionOfMany, Recording, RobotLink, open_link, report_losses
 from agent.pipeline.ending import ending_text, resume_advice
-from agent.pipeline.loop_program import LoopMotion
-from agent.pipeline.plan import Plan
+from agent.pipeline.planning.loop_program import LoopMotion
+from agent.pipeline.planning.plan import Plan
 from agent.pipeline.reports import refresh_index
 from agent.recipe import Recipe
 from agent.robot import not_judged_text

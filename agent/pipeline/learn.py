@@ -27,7 +27,7 @@ from agent.motion import (
     way_key,
 )
 from agent.pipeline.checked_logs import check_one_machine, read_logs
-from agent.pipeline.plan import replan
+from agent.pipeline.planning.plan import replan
 from agent.pipeline.rebuilt_report import recipe_of
 from agent.recording import Log
 from agent.robot import RobotDescription, load_robot

@@ -12,7 +12,7 @@ from agent.pipeline.checked_logs import read_logs
 from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnose import diagnose_again
 from agent.pipeline.job import EXCITATION, validation_logs
-from agent.pipeline.plan import replan
+from agent.pipeline.planning.plan import replan
 from agent.pipeline.reports import calibration_page, recalibration_page
 from agent.recipe import Recipe, load_recipe
 from agent.recording import read_log

@@ -24,8 +24,8 @@ from agent.pipeline.ending import current_run
 from agent.pipeline.gap.diagnosis_run import DiagnosisRun
 from agent.pipeline.gap.until_sure import until_sure
 from agent.pipeline.job import EXCITATION, Job, Outcome
-from agent.pipeline.loop_program import LoopMotion
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.loop_program import LoopMotion
+from agent.pipeline.planning.plan import loop_problem
 from agent.pipeline.reports import diagnose_if_worse, recalibration_page, worse_joints, write_analysis
 from agent.pipeline.result import conditions, gate_decision, gate_figures, provenance_of, temperatures
 from agent.recipe import Recipe

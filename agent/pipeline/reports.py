@@ -26,8 +26,8 @@ from agent.pages import (
     torque_plot,
 )
 from agent.pipeline.ending import current_model_text, next_steps
-from agent.pipeline.plan import Plan
-from agent.pipeline.plan_files import shown_loop
+from agent.pipeline.planning.plan import Plan
+from agent.pipeline.planning.plan_files import shown_loop
 from agent.recipe import Recipe
 from agent.recording import FILTERED, PREDICTED, RESIDUAL, Log, write_log
 from agent.runs import History, RunFolder, current_runs, last_accepted, parameter_trends, watch

@@ -11,8 +11,8 @@ from agent.core import sha256_file
 from agent.estimation import conditional_covariance
 from agent.link import Recording
 from agent.model import ODD, IdentifiedModel, steady_columns
-from agent.pipeline.plan import Plan
-from agent.pipeline.plan_files import shown_loop
+from agent.pipeline.planning.plan import Plan
+from agent.pipeline.planning.plan_files import shown_loop
 from agent.recipe import Recipe
 from agent.recording import Log
 from agent.robot import axle_motion, torque_units, without_nominal

@@ -24,7 +24,7 @@ from agent.recording.repair.clock import with_lost_rows
 from agent.recording.repair.effort import TORQUE
 from agent.recording.repair.outliers import LIMITS, impossible
 from agent.recording.repair.stamps import put_in_order, spacing_of
-from agent.recording.tables import read_table
+from agent.recording.tables.table_files import read_table
 from agent.robot import RobotDescription
 
 _SET_POINTS = ("reference_position", "planned_position")

@@ -25,7 +25,7 @@ from agent.recording.mapping import (
 from agent.recording.mcap.log_file import CURRENTS, nanoseconds
 from agent.recording.repair.clock import unwrapped
 from agent.recording.repair.stamps import stand_still
-from agent.recording.text_tables import ColumnTable
+from agent.recording.tables.text_tables import ColumnTable
 from agent.robot import RobotDescription
 
 #: Columns whose lengths differ by more than this part do not belong together.

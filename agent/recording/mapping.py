@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from agent.core import Dimension, InputError, Quantity, line_of, read_yaml, validate_document
 from agent.recording.datasets import DATASET_PRESETS
-from agent.recording.text_tables import ColumnTable
+from agent.recording.tables.text_tables import ColumnTable
 
 Side = Literal["motor", "joint"]
 _TURN = 6.283185307179586

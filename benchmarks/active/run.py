@@ -28,7 +28,7 @@ from agent.experiment.next_motion import RunnablePieces
 from agent.link import planned_load
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel, payload_of, payload_text
 from agent.pipeline.gap.next_experiment import clearer_loaded, plan_next
-from agent.pipeline.plan import Plan, loop_problem, make_plan
+from agent.pipeline.planning.plan import Plan, loop_problem, make_plan
 from agent.recipe import Recipe, load_recipe, template
 from agent.recording import PARTS, PLANNED_PARTS, Log, read_log
 from agent.robot import Tool

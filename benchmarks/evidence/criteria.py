@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.excitation import Criterion
 from agent.motion import Trajectory, ViaRegions
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import Recipe
 from benchmarks.evidence.emulation import record, repeated
 from benchmarks.evidence.judging import error, fitted

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.estimation import EstimationSettings, estimate
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import Recipe
 from agent.robot import RobotDescription, about_centre
 from benchmarks.evidence.emulation import record, repeated

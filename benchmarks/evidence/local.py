@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.motion import Trajectory, ViaRegions
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import Recipe
 from agent.robot import KinematicsError
 from benchmarks.evidence.emulation import WORLDS, effects, record, repeated

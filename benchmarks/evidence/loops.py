@@ -13,7 +13,7 @@ from agent.excitation import Candidates, Criterion, Loop, LoopProblem, LoopScore
 from agent.excitation.criterion import log_determinant
 from agent.excitation.genetic import genetic
 from agent.motion import JointTarget, MotionError, Move, MoveType, Trajectory, create_interpolator
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import Recipe
 from agent.robot import KinematicsError, RobotDescription
 from benchmarks.evidence.results import Results

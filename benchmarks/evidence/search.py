@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.excitation import LoopScore, ranking
 from agent.excitation.genetic import genetic, random_search
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import Recipe
 from benchmarks.evidence.criteria import SHORT, judged
 from benchmarks.evidence.loops import LocalLoops, best_loop

@@ -17,7 +17,7 @@ from drivers.wire import tcp as wire
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.execution import Slice
-from fake_controller.programs import RefusedRequest, Upload
+from fake_controller.program.memory import RefusedRequest, Upload
 from fake_controller.servers.base import IDLE_LIMIT, RECEIVE, accepted, listening_socket, name_of, stop_unheard
 
 MAX_CONNECTIONS = 8

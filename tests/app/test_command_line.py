@@ -17,7 +17,7 @@ from agent.cli.app import app
 from agent.core.console import Console, print_path, print_text
 from agent.core.output import patient
 from agent.excitation import check_sub_region
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import load_recipe
 from tests.conftest import ROOT
 from tests.recording.conftest import write_foreign

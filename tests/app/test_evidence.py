@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import load_recipe
 from agent.robot import Dynamics, load_robot
 from benchmarks.evidence import __main__ as evidence, criteria, page

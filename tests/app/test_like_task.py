@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from agent.core import Console, InputError
-from agent.pipeline.plan import search_loop
-from agent.pipeline.sub_region import via_regions
+from agent.pipeline.planning.plan import search_loop
+from agent.pipeline.planning.sub_region import via_regions
 from agent.recipe import load_recipe
 from agent.runs.approved import problem
 

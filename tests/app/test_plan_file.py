@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
 from agent.excitation import Candidates
-from agent.pipeline.plan import loop_problem, replan
+from agent.pipeline.planning.plan import loop_problem, replan
 from agent.recipe import load_recipe
 from agent.runs.folder import RunFolder
 from tests.app.conftest import RECIPE

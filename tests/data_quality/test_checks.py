@@ -363,7 +363,7 @@ def test_files_that_peoples_tools_write_get_the_right_reason(shared_data, logs, 
 
 
 def test_uneven_kilohertz_stamps_give_the_accelerations_of_an_even_clock(shared_data):
-    from agent.estimation.filtering import FilterSettings, motions
+    from agent.estimation.signals.filtering import FilterSettings, motions
 
     folder = shared_data / "files-dev/23-uneven-kilohertz"
     (even,), (uneven,) = (

@@ -10,7 +10,8 @@ import pytest
 
 from agent.diagnosis import diagnose, with_healthy_effects
 from agent.diagnosis.hypotheses import healthy
-from agent.estimation import estimate, filtering
+from agent.estimation import estimate
+from agent.estimation.signals import filtering
 from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
 from fake_controller.plant import Plant
 from tests.small_arms import make_arm, record

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.estimation import FilterSettings, filtering, motions, smooth_and_differentiate
+from agent.estimation import FilterSettings, motions, smooth_and_differentiate
 from agent.estimation.identification import observe_predictable
+from agent.estimation.signals import filtering
 from agent.robot.bodies import rigid_bodies
 
 
@@ -262,7 +263,7 @@ def test_a_creeping_joint_is_smooth_despite_rounded_positions(arm, make_log, mon
     t, position, speed = _move_and_creep()
     log = make_log(arm(1), t, np.round(position, 4), None)
     quiet, moving = _error(log, speed, FilterSettings(10.0))
-    monkeypatch.setattr("agent.estimation.filtering._AUDIBLE", np.inf)
+    monkeypatch.setattr("agent.estimation.signals.filtering._AUDIBLE", np.inf)
     plain, moving_plain = _error(log, speed, FilterSettings(10.0))
     assert np.std(quiet) < 0.65 * np.std(plain)
     assert np.std(moving) < 1.1 * np.std(moving_plain)

@@ -8,12 +8,12 @@ from scipy.signal import lfilter
 from scipy.stats import multivariate_normal
 
 import agent.estimation.normal_equations as sums
-from agent.estimation.filtering import FilterSettings
-from agent.estimation.observation import observe
 from agent.estimation.partition import partition
 from agent.estimation.prior import Prior
 from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
+from agent.estimation.signals.filtering import FilterSettings
+from agent.estimation.signals.observation import observe
 from agent.model import Reversal, standstill_speed
 from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _links, _log, _multisine

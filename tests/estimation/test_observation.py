@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from agent.core import InputError
-from agent.estimation.filtering import FilterSettings
-from agent.estimation.observation import check_log, observe
 from agent.estimation.partition import partition
+from agent.estimation.signals.filtering import FilterSettings
+from agent.estimation.signals.observation import check_log, observe
 from agent.model import FrictionTerm, Reversal
 from agent.robot.bodies import rigid_bodies
 from tests.estimation.conftest import _arm, _links, _log, _multisine

@@ -74,7 +74,7 @@ def test_does_not_depend_on_the_described_masses(log):
 
 
 def test_equals_the_weighted_pseudo_inverse(log):
-    from agent.estimation.observation import observe
+    from agent.estimation.signals.observation import observe
 
     robot, recorded = log()
     model = estimate(robot, [recorded], PAPER)

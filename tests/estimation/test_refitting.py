@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from agent.estimation import EstimationSettings, FilterSettings, conditional_covariance, estimate, refit
-from agent.estimation.observation import observe
 from agent.estimation.partition import partition
 from agent.estimation.problem import Problem
+from agent.estimation.signals.observation import observe
 from agent.model import FrictionTerm, ModelEffect, Reversal
 from agent.robot import Tool, rigid_bodies
 

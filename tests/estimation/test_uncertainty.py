@@ -7,11 +7,11 @@ import pytest
 
 from agent.estimation import EstimationSettings, FilterSettings, estimate
 from agent.estimation.estimators import weighted
-from agent.estimation.observation import observe
 from agent.estimation.partition import partition
 from agent.estimation.prior import link_prior
 from agent.estimation.problem import Problem
 from agent.estimation.selection import paper_terms
+from agent.estimation.signals.observation import observe
 from agent.estimation.uncertainty import covariance, jackknife, parameter_prior, unobserved_directions
 from agent.model.friction_terms import AxleMotion, Reversal, axle_columns
 from agent.robot.bodies import rigid_bodies

@@ -12,7 +12,7 @@ from agent.cli.app import app
 from agent.core import InputError
 from agent.excitation import plan_set_points
 from agent.excitation.set_point_plan import CHIRP, REVERSALS, STEPS, SetPointLimits, excitation
-from agent.recording.tables import read_table
+from agent.recording.tables.table_files import read_table
 from agent.simulators import load_arm, load_simulator
 
 pytest.importorskip("mujoco")

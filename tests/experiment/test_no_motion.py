@@ -15,7 +15,7 @@ from agent.motion.pdl2.dialect import Pdl2
 from agent.pipeline import GapQuestion, check_plausible, diagnose_files
 from agent.pipeline.gap import diagnose, diagnosis_run
 from agent.pipeline.gap.next_experiment import check_arm, check_tool, plan_next
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.recording import write_log
 from agent.robot import load_robot

@@ -18,7 +18,7 @@ from agent.experiment.questions import OpenPair, Side
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pages.diagnosis.summary import planned_section
 from agent.pages.elements import Page, render
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import load_recipe, template
 from agent.robot import Tool, load_robot
 from agent.safety import PlannedProgram

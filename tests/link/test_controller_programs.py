@@ -12,7 +12,7 @@ from agent.motion.pdl2.reduced_job import job_text
 from agent.motion.pdl2.syntax import Pos
 from agent.robot import load_robot
 from fake_controller.interpolation import build_interpolator
-from fake_controller.interpreter import Interpreter, left_over
+from fake_controller.program.interpreter import Interpreter, left_over
 
 FOLDER = Path(__file__).resolve().parents[2] / "drivers" / "controller"
 DOCS = FOLDER.parents[1] / "docs"

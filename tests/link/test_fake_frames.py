@@ -11,9 +11,9 @@ from agent.motion.pdl2.variables import SYSTEM_VARIABLES, pos_to_pose
 from agent.motion.program import NO_FRAME, CartesianTarget, JointTarget, Move, MoveType, frame_of
 from agent.robot import kinematics_for
 from fake_controller.execution import Planner
-from fake_controller.frames import Transform, tool_point
 from fake_controller.interpolation import PARAMETERS
-from fake_controller.interpreter import FACTORY, Interpreter, left_over
+from fake_controller.program.frames import Transform, tool_point
+from fake_controller.program.interpreter import FACTORY, Interpreter, left_over
 from tests.link.by_pinocchio import DATA, ROBOT, START, flange
 
 FLY_DISTANCE = 0.02

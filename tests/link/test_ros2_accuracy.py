@@ -8,7 +8,7 @@ import pytest
 
 from agent.core import Console
 from agent.estimation import estimate
-from agent.pipeline.plan import make_plan
+from agent.pipeline.planning.plan import make_plan
 from agent.recipe import load_recipe
 from agent.recording import Log
 from agent.robot import load_robot

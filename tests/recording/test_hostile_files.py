@@ -16,7 +16,7 @@ from mcap.writer import CompressionType
 
 from agent.core.errors import InputError
 from agent.recording import read_log
-from agent.recording.tables import read_table
+from agent.recording.tables.table_files import read_table
 
 MAGIC = b"\x89MCAP0\r\n"
 BOMB = 300 * 2**20
@@ -170,7 +170,7 @@ def test_far_cells_of_a_workbook_cost_little_memory(tmp_path, rows: int, monkeyp
     """The last column that Excel knows, in one row far below or in many: cells are counted as they come."""
     import openpyxl
 
-    monkeypatch.setattr("agent.recording.tables.MOST_CELLS", 2**20)
+    monkeypatch.setattr("agent.recording.tables.table_files.MOST_CELLS", 2**20)
 
     path = tmp_path / "far.xlsx"
     book = openpyxl.Workbook()

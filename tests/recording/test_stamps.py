@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from agent.core.errors import InputError
-from agent.estimation.filtering import FilterSettings, motions, used_text
+from agent.estimation.signals.filtering import FilterSettings, motions, used_text
 from agent.recording import read_log, sample_numbers, settled
 
 

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from agent.core import InputError
 from agent.recording import Log, import_log, read_log
-from agent.recording.tables import read_table
+from agent.recording.tables.table_files import read_table
 from agent.robot import load_robot
 from tests.recording.test_importer import ROBOT, URDF
 

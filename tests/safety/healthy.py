@@ -20,7 +20,7 @@ from agent.cli import main as agent
 from agent.core.errors import InputError
 from agent.excitation import Candidates
 from agent.motion.program import Delay, JointTarget, Move, MoveType, Statement, with_frames
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import Recipe, load_recipe
 from tests.conftest import Broker, Emulator, free_loopback
 

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 import agent.robot
 from agent.core import Console, InputError, sha256_file, sha256_text
-from agent.pipeline.plan import plan_once, replan
+from agent.pipeline.planning.plan import plan_once, replan
 from agent.pipeline.recalibrate import check_loop
 from agent.recipe import Recipe, load_recipe, template
 from agent.runs import RunFolder, stored_loops

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.estimation.filtering import FilterSettings, motions
+from agent.estimation.signals.filtering import FilterSettings, motions
 from agent.model import IdentifiedModel
 from agent.recording import read_log
 from agent.validation.singular_values import observability

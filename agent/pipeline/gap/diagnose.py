@@ -24,7 +24,7 @@ from agent.pipeline.gap.next_steps import after_diagnosis
 from agent.pipeline.gap.set_point_files import next_set_points
 from agent.pipeline.gap.until_sure import Rounds, until_sure
 from agent.pipeline.job import Job, validation_logs
-from agent.pipeline.plan import plan_once
+from agent.pipeline.planning.plan import plan_once
 from agent.recipe import load_recipe
 from agent.robot import RobotDescription
 from agent.runs import robot_lock

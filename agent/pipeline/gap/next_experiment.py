@@ -17,7 +17,7 @@ from agent.link import PROGRAM_SHA256, SCHEMA, check_payload
 from agent.model import payload_of
 from agent.motion import dialects
 from agent.pipeline.gap.set_point_files import servo_arm
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.recipe import Recipe, load_recipe
 from agent.recording import Log
 from agent.robot import RobotDescription, Tool, kinematics_for

@@ -11,7 +11,7 @@ from agent.core import AgentError, Console, ControllerError, InputError, counted
 from agent.excitation import Candidates, LoopScore, check_sub_region
 from agent.link import answering, check_effort
 from agent.motion import tool_frame
-from agent.pipeline.plan import loop_problem
+from agent.pipeline.planning.plan import loop_problem
 from agent.pipeline.setup.findings import CheckedItem, Findings
 from agent.recipe import Recipe, examine_recipe
 from agent.robot import not_judged_text

@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.core import InputError, counted, sha256_file
 from agent.recording.datasets.episodes import Episode, Recorded
-from agent.recording.tables import read_table
+from agent.recording.tables.table_files import read_table
 
 #: Beginnings of the names of columns, each followed by the number of a joint.
 _FIELDS = {"q": "position", "dq": "velocity", "cmd": "command"}

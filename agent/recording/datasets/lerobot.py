@@ -18,8 +18,8 @@ from agent.core import InputError, comma_list, counted, read_json, sha256_file, 
 from agent.recording.datasets.episodes import FRAME_NUMBER, HELD, HOLD, STAMPS, UNITS, Episode, Recorded
 from agent.recording.datasets.joints import clean, flat_names, poses, quantity_of
 from agent.recording.datasets.units import in_radians
-from agent.recording.tables import read_table
-from agent.recording.text_tables import ColumnTable
+from agent.recording.tables.table_files import read_table
+from agent.recording.tables.text_tables import ColumnTable
 
 INFO = "meta/info.json"
 _STATE, _ACTION = "observation.state", "action"

@@ -52,7 +52,7 @@ from agent.recording.mcap.message_forms import (
     parse_form,
 )
 from agent.recording.scratch import Scratch
-from agent.recording.tables import TABLES
+from agent.recording.tables.table_files import TABLES
 
 _MAGIC = b"\x89MCAP0\r\n"
 _LFS, _LFS_SIZE = b"version https://git-lfs", 32

@@ -20,7 +20,7 @@ from drivers.wire.cnr import IDENTITY_FILE, PROGRAM_FILE
 from drivers.wire.reasons import Refusal
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.faults import Faults
-from fake_controller.programs import MAX_PROGRAM, MAX_PROGRAMS, RefusedRequest
+from fake_controller.program.memory import MAX_PROGRAM, MAX_PROGRAMS, RefusedRequest
 from fake_controller.servers.base import listening_socket
 
 MAX_CONNECTIONS = 8

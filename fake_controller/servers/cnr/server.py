@@ -19,7 +19,7 @@ from agent.robot import RobotDescription
 from drivers.wire.cnr import QUEUE_NODES, CommType, Message, MessageType, Point, QueueStatus, ReplyCode
 from drivers.wire.reasons import EndReason
 from fake_controller.controller import Controller
-from fake_controller.programs import RefusedRequest
+from fake_controller.program.memory import RefusedRequest
 from fake_controller.servers.base import BROKER
 from fake_controller.servers.cnr.files import FtpFolder
 from fake_controller.servers.cnr.node import JointPublisher, LoopingNode

@@ -17,7 +17,7 @@ from drivers.wire.modbus import Block
 from drivers.wire.reasons import EndReason, Refusal
 from fake_controller.controller import CONTROLLER, PERIOD, VERSION, Controller
 from fake_controller.execution import Slice
-from fake_controller.programs import RefusedRequest, Upload
+from fake_controller.program.memory import RefusedRequest, Upload
 from fake_controller.servers.base import IDLE_LIMIT, stop_unheard
 
 MEMORY = 400_000  # samples kept for a client that reads slower than the arm moves: 13 minutes

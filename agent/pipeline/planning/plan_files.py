@@ -9,8 +9,8 @@ from typing import Any
 from agent.core import Console, InputError, TaskEngine, write_atomically
 from agent.link import check_cell
 from agent.pages import ShownLoop, plan_report
-from agent.pipeline.loop_program import LoopMotion
-from agent.pipeline.plan import search_loop
+from agent.pipeline.planning.loop_program import LoopMotion
+from agent.pipeline.planning.plan import search_loop
 from agent.recipe import Recipe
 from agent.runs import make_folder, write_json
 

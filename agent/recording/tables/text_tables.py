@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.core import InputError, counted, open_regular
-from agent.recording.text_rows import Cell, Row, check_size, check_width, parse_row, parse_rows, separator_of
+from agent.recording.tables.text_rows import Cell, Row, check_size, check_width, parse_row, parse_rows, separator_of
 
 #: Characters of a line: 64 for each field of the widest row.
 _LONGEST_LINE = 2**20

@@ -12,8 +12,8 @@ import numpy as np
 from agent.core import Console, InputError, TaskEngine, read_json, sha256_file, sha256_text
 from agent.excitation import Candidates, Loop, LoopProblem, LoopScore, check_sub_region, search
 from agent.link import check_cell
-from agent.pipeline.loop_program import LoopMotion
-from agent.pipeline.sub_region import moving_part, via_regions
+from agent.pipeline.planning.loop_program import LoopMotion
+from agent.pipeline.planning.sub_region import moving_part, via_regions
 from agent.recipe import Recipe
 from agent.runs import RunFolder, keep_loop
 

@@ -47,7 +47,7 @@ from agent.motion.pdl2 import (
     subscript,
 )
 from agent.robot import RobotDescription
-from fake_controller.frames import Transform, target_in_robot_base
+from fake_controller.program.frames import Transform, target_in_robot_base
 
 _NOWHERE = Pos((0.0,) * 6, "")
 #: As the controller comes, in its own units: mm, degrees, percent, m/s, rad/s.

@@ -14,8 +14,8 @@ from typing import Any, Literal
 import numpy as np
 
 from agent.core import InputError, needed, open_regular
-from agent.recording.text_rows import CELL, MOST_CELLS, Row, check_size
-from agent.recording.text_tables import ColumnTable, read_text, table_of_rows
+from agent.recording.tables.text_rows import CELL, MOST_CELLS, Row, check_size
+from agent.recording.tables.text_tables import ColumnTable, read_text, table_of_rows
 
 #: Columns that one matrix of a MAT file may hold; a wider one is no table of samples.
 _MAX_COLUMNS = 256

@@ -33,7 +33,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from agent.core import InputError
-from agent.estimation.clock import SampleClock
+from agent.estimation.signals.clock import SampleClock
 from agent.recording import Log
 
 _NARROWEST = 1.5  # Hz

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import InputError
-from agent.estimation.filtering import FilterSettings, Motion, motions, resolve_cutoff
+from agent.estimation.signals.filtering import FilterSettings, Motion, motions, resolve_cutoff
 from agent.model import AxleMotion, FrictionTerm, axle_columns
 from agent.recording import Log, Scratch
 from agent.robot import RigidBodies, RobotDescription

@@ -1,0 +1,1 @@
+"""Columns of numbers out of files: CSV, spreadsheets and what libraries read."""
