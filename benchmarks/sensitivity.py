@@ -1,7 +1,7 @@
 """What each number of diagnosis, experiment and effects changes: `python -m benchmarks.sensitivity` writes the table.
 
-A number is a constant other than -1, 0, 1 and 2 (½ in formulas) in `agent/diagnosis`, `agent/experiment` and
-`agent/model/effects`; a grid is one number. Left out are guards of divisions (at most 1e-6 or at least 1e6), numbers in
+A number is a constant in `agent/diagnosis`, `agent/experiment` and `agent/model/effects`; a grid is one number. 0 and
+-1 are none, nor are 1, 2 and ½ in formulas. Left out are guards of divisions (at most 1e-6 or at least 1e6), numbers in
 texts, exponents, factors of 100 and 1000, and counts that subscripts and shapes need. Each is halved and doubled while
 up to three small runs of a fixed set are diagnosed that come to it: machines of the emulator and of the second world
 with two joints, other ways to record, and logs of real arms. Some have six joints and plan a further motion. Of a share
@@ -117,7 +117,15 @@ class _Numbers(ast.NodeVisitor):
         self._owners: list[tuple[str, str]] = []
         self._seen: dict[tuple[str, str], int] = {}
         self.found: list[Site] = []
-        self.visit(ast.parse(text))
+        tree = ast.parse(text)
+        self._texts = {
+            node.targets[0].id: node.value.value
+            for node in tree.body
+            if isinstance(node, ast.Assign)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.targets[0], ast.Name)
+        }
+        self.visit(tree)
 
     @property
     def _owner(self) -> str:
@@ -195,23 +203,20 @@ class _Numbers(ast.NodeVisitor):
             self._named(node.target, node.value, node)
 
     def _named(self, target: ast.expr, value: ast.expr, node: ast.stmt) -> None:
-        nodes = _constants(value)
+        comment = ""
+        if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "known":
+            value, *about = value.args
+            said = [self._texts.get(a.id, "") if isinstance(a, ast.Name) else ast.literal_eval(a) for a in about]
+            comment = "; ".join(map(str, said))
+        nodes = _of_name(value)
         if not nodes or not isinstance(target, ast.Name):
             return
-        if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "known":
-            nodes = _constants(value.args[0])
-            said = [getattr(a, "value", "") for a in value.args[1:]]
-            comment, value = "; ".join(map(str, said)), value.args[0]
-        elif isinstance(value, ast.Dict) and not all(isinstance(v, ast.Constant) for v in value.values):
+        if isinstance(value, ast.Dict) and not all(isinstance(v, ast.Constant) for v in value.values):
             return
-        else:
-            comment = self._comment(node)
-        if nodes:
-            kind = "class" if self._owners else "module"
-            text = ast.unparse(value)
-            self.found.append(
-                Site(self.path, kind, self._owner, target.id, text, node.lineno, comment, tuple(map(_at, nodes)))
-            )
+        comment = comment or self._comment(node)
+        kind = "class" if self._owners else "module"
+        at = tuple(map(_at, nodes))
+        self.found.append(Site(self.path, kind, self._owner, target.id, ast.unparse(value), node.lineno, comment, at))
 
     def visit_Tuple(self, node: ast.Tuple) -> None:
         inside = _constants(node)
@@ -233,6 +238,12 @@ class _Numbers(ast.NodeVisitor):
         self.found.append(
             Site(self.path, "inline", self._owner, name, text, node.lineno, self._comment(node), tuple(map(_at, nodes)))
         )
+
+
+def _of_name(value: ast.expr) -> list[ast.Constant]:
+    """Numbers of a constant with a name: 1 and 2 count where they are all of it."""
+    whole = isinstance(value, ast.Constant) and type(value.value) in (int, float) and value.value in (1, 2)
+    return [value] if whole else _constants(value)
 
 
 def _constants(node: ast.AST) -> list[ast.Constant]:

@@ -22,10 +22,7 @@ from agent.recording import Log
 from agent.robot import RobotDescription
 from agent.simulators import SIMULATOR
 
-_LEAST = 1.0  # s
 _OUTLIER = 5.0  # standard errors: a log of another day says no more against any hypothesis
-_BEYOND = 1.0  # of nominal torque: no zero of a channel
-_NOTABLE = 2 * Effect.practical  # of nominal torque: more shows
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +52,9 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
         )
     if log.effort is None:
         raise InputError(f"{log.name}: has no torque, so it does not say what the channels show with the drives off")
-    if log.t[-1] - log.t[0] < _LEAST or len(log.t) < LIMITS.fewest:
+    if log.t[-1] - log.t[0] < LIMITS.block or len(log.t) < LIMITS.fewest:
         raise InputError(
-            f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record {_LEAST:g} s "
+            f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record {LIMITS.block:g} s "
             f"and {LIMITS.fewest} samples at least"
         )
     for joint, travel in zip(robot.joints, np.ptp(log.position, axis=0), strict=True):
@@ -87,7 +84,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
                 f"{log.name}: the torque of {entry.name} varies by {swing[joint]:.3g} {unit} (standard deviation) "
                 f"while the arm stands, which no motor without current does: {again}"
             )
-        if abs(mean[joint]) > _BEYOND * nominal[joint]:
+        if abs(mean[joint]) > nominal[joint]:
             raise InputError(
                 f"{log.name}: the torque of {entry.name} is {mean[joint]:.4g} {unit}, and its nominal torque "
                 f"{nominal[joint]:.4g}: that is no zero of a channel; {again}, or mend the units in its import"
@@ -97,7 +94,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     still = np.zeros((1, robot.dof))
     torque, friction = model.predict_parts(log.position.mean(axis=0)[None], still, still)
     held = (torque - friction)[0]
-    loaded = np.abs(held) > _NOTABLE * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
+    loaded = np.abs(held) > Effect.practical * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
     unheld = np.linalg.norm((mean - _known_offsets(model) - held)[loaded])
     if loaded.any() and unheld < (1 - LIMITS.explained) * np.linalg.norm(held[loaded]):
         names = ", ".join(np.array(robot.joint_names)[loaded])
@@ -122,7 +119,7 @@ def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evid
             if candidate.effect.adds_to_report is not None:
                 offset[candidate.joints[0]] += values[candidate.names.index(candidate.effect.adds_to_report)]
         miss = np.minimum(np.abs(zero.torque - offset), np.abs(zero.torque - offset - before))[known]
-        slack = np.hypot(zero.error, _NOTABLE * evidence.noise.nominal / 2)[known]
+        slack = np.hypot(zero.error, Effect.practical * evidence.noise.nominal)[known]
         return float(-0.5 * np.sum(np.minimum(miss / slack, _OUTLIER) ** 2))
 
     return log_likelihood
@@ -134,7 +131,7 @@ def zero_remarks(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) 
     offsets = {c.joints[0]: float(np.abs(v).max()) for c, v in sizes if c.effect.adds_to_report is not None}
     before, said = _known_offsets(dataset.model), []
     for joint, entry in enumerate(dataset.robot.joints):
-        seen, least = zero.torque[joint], _NOTABLE * dataset.fit.reference.scale[joint]
+        seen, least = zero.torque[joint], Effect.practical * dataset.fit.reference.scale[joint]
         unit = entry.torque_unit
         if np.isnan(seen):
             if joint in offsets:

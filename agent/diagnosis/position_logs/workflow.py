@@ -38,7 +38,7 @@ from agent.simulators import FreeSimulator, ServoNumbers, Simulator
 _ROUGH = 0.05  # numerical: of the cost: a fit to start from gains less in its last round
 _SETTLES = 1.0  # s at most
 _NARROWER, _CUTS = 0.9, 30  # numerical: of a cut of commands, the next one that is tried, and how many are
-_REVERSALS = 2  # of a joint, below which its numbers are not told
+_REVERSALS = 2  # derived: load and friction of a joint that turns back once are one step
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ class AsymmetricFriction(Effect):
     units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad"})
     leading = ("coulomb_asymmetry", "viscous_asymmetry")
     needs_speed = SLIDES
-    needs_reversals = 1
+    needs_reversals = 1  # derived: friction shows where its sign changes
     shapes = ("speed", "position")
     experiment = RAMPS_AND_STANDSTILLS
     not_reported = ("coulomb", "viscous")

@@ -41,7 +41,7 @@ class Backlash(TwoMass):
     units = MappingProxyType({"gap": "rad"})
     leading = ("gap",)
     not_reported = (_READ,)
-    needs_reversals = 2
+    needs_reversals = 2  # derived: one each way
     shapes = ("twist",)
     experiment = SLOW_REVERSALS
     why_absent = "no torque reversal in these logs"

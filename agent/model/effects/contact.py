@@ -25,11 +25,9 @@ _LINKS = 3  # numerical: links tried for the case that all pushes act on one lin
 _DURATIONS = np.geomspace(0.2, 12.0, 14).tolist()  # s
 _STARTS = 0.05  # numerical: s between starts of windows
 _MOST_OF_LOG = 0.8  # largest share of its log that a push takes: a longer one is no event
-_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of the other windows of this length; factor above it that a push needs
+_USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of windows as long; factor above it, and above other cycles'
 _SHARP = 30.0  # the same factor for one with no quiet time before it, or that repeats with the cycle next to another
-_CLEARANCE = 2.0  # durations before and after a push in which windows are compared with it
 _BORDER = _DURATIONS[0]  # s: what is nearer than the shortest push is as good as the same moment
-_ALONE = 2.0  # factor over the window at the same phase of another cycle
 _LEAST_GAIN_RATIO = 0.02  # least gain over that of the strongest push; of a pause over that of its push
 _FEW, _RARE = 6, 0.15  # pushes of any duration; share of the time that more pushes may take
 _END_STEPS = 4  # numerical: steps by which each end moves while the shape is searched, over nearly half its duration
@@ -307,8 +305,7 @@ class Windows:
 
     def near(self, push: PushedWindow, free: np.ndarray) -> float:
         """Largest gain of the windows right before and after a push that are `free` (K,) of any other."""
-        reach = (1 + _CLEARANCE) * push.duration
-        around = (np.abs(self.starts - push.start) <= reach) & free
+        around = (np.abs(self.starts - push.start) <= 2 * push.duration) & free  # as long before and after as it lasts
         return float(self.gain[around].max(initial=0.0))
 
     def beside_edges(self, push: PushedWindow) -> float:
@@ -394,7 +391,7 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     alone = [
         push
         for push, around, again in compared
-        if push.gain > max((_SHARP if push in bare else _STANDS_OUT) * around, _ALONE * again)
+        if push.gain > max((_SHARP if push in bare else _STANDS_OUT) * around, _STANDS_OUT * again)
     ]
     # next to a push that does not repeat, one that repeats counts too if nothing around it is similar
     return [p for p, around, _ in compared if p in alone or (alone and p.gain > _SHARP * around)]

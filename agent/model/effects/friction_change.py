@@ -30,7 +30,7 @@ class FrictionChange(FrictionLevel):
     )
     units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad"})
     leading = ("coulomb_change", "viscous_change")
-    needs_reversals = 1
+    needs_reversals = 1  # derived: friction shows where its sign changes
     shapes = ("speed",)
     not_reported = ("coulomb", "viscous")
     numbers = FileNumbers.FRICTION

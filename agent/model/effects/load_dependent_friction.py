@@ -30,7 +30,7 @@ class LoadDependentFriction(FrictionLevel):
     confused_with = ("friction_change", "torque_constant")
     phrase = "friction grows with the load on the gear"
     look_at = "gear efficiency: tooth or wave-generator wear, overload"
-    needs_reversals = 1
+    needs_reversals = 1  # derived: friction shows where its sign changes
     shapes = ("speed",)
     units = MappingProxyType({"load": "N·m"})
     leading = ("coefficient",)

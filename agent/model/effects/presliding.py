@@ -35,7 +35,7 @@ class Presliding(Effect):
     look_at = "gear wind-up and preloaded bearings; flexspline and seals that give way before they slide"
     units = MappingProxyType({"travel": "rad", "level": "N·m"})
     leading = ("level",)
-    needs_reversals = 2
+    needs_reversals = 2  # derived: one each way
     shapes = ("speed",)
     experiment = SLOW_REVERSALS
     refined = ("travel",)

@@ -29,7 +29,7 @@ class Stribeck(FrictionLevel):
     look_at = "lubrication and seals of the gear: starved or cold grease lets friction rise at low speed"
     units = MappingProxyType({"rise": "N·m", "speed": "rad/s"})
     leading = ("rise",)
-    needs_reversals = 1
+    needs_reversals = 1  # derived: friction shows where its sign changes
     shapes = ("speed",)
     sizes = ("rise",)
     experiment = SLOW_REVERSALS

@@ -39,7 +39,7 @@ class ThermalFriction(FrictionLevel):
     look_at = "the temperature of gear and motor: let the arm warm up, or compare a cold and a warm run"
     units = MappingProxyType({"coulomb": "N·m", "viscous": "N·m·s/rad", "time_constant": "s", "way": "rad"})
     leading = ("coulomb_drift", "viscous_drift")
-    needs_reversals = 1
+    needs_reversals = 1  # derived: friction shows where its sign changes
     shapes = ("speed",)
     experiment = FROM_COLD
     refined = ("time_constant", "way", "reversal_travel")

@@ -27,7 +27,7 @@ class ViscousNonlinearity(FrictionLevel):
     look_at = "the grease: viscosity, fill level, churning at high speed"
     units = MappingProxyType({"bend": "N·m", "speed": "rad/s", "viscous": "N·m·s/rad"})
     leading = ("bend",)
-    needs_reversals = 1
+    needs_reversals = 1  # derived: friction shows where its sign changes
     shapes = ("speed",)
     refined = ("speed", "power", "reversal_travel")
     nonlinear = ("speed", "power", "reversal_travel")
