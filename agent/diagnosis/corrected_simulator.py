@@ -85,9 +85,9 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
         correction.model,
         cutoff=given.cutoff,
         order=given.order,
-        residual_rmse=gap.after * gap.unit,
-        held_out_rmse=gap.after * gap.unit,
-        weights=1 / np.stack([np.maximum(gap.after * gap.unit, 1e-9) ** 2] * 2),
+        residual_rmse=gap.rmse_after,
+        held_out_rmse=gap.rmse_after,
+        weights=1 / np.stack([np.maximum(gap.rmse_after, 1e-9) ** 2] * 2),
     )
     of_servos = {names[group.joint]: reason(group.text(names)) for group in reversed(groups) if group.kind in _OF_SERVO}
     return _with_servos(replace(correction, model=model), diagnosis, change, groups, of_servos)

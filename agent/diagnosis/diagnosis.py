@@ -156,7 +156,7 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
         yield (
             f"corrected simulator parameters leave {100 * (1 - gap.absorbed):.1f} % of the gap, and no known effect "
             "explains it; compared with a usual simulator it is largest on "
-            f"{names[int(np.argmax(gap.after * gap.unit / usual))]}"
+            f"{names[int(np.argmax(gap.rmse_after / usual))]}"
         )
     if not explanation.of_file and dataset.given and not selected.causes and not dataset.open_joints.any():
         if (absorbed := explanation.gap.absorbed) > 1 - LIMITS.explained:
@@ -164,7 +164,7 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
                 f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
                 "uncertainty: estimate it again with motions like these"
             )
-        error = gap.before * gap.unit / usual
+        error = gap.rmse_before / dataset.fit.sigma.min(axis=0)
         if not selected.leaves_gap and error.max() > LIMITS.usual_error:
             yield (
                 f"the error of {names[int(error.argmax())]} is {error.max():.1f} {LARGE_ERROR}, which may differ from "

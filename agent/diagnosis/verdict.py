@@ -10,7 +10,7 @@ torque, `decide_by_position` of positions. `with_numbers` (`simulator_file/expla
 | `no_gap` | there is none beyond the noise model, nor an error that is no chance |
 
 Causes pass two checks before: they are probable (`name_causes`), and they explain motion that their fit did not see
-(`keep_supported`). Whoever else needs the verdict reads it from the result.
+(`keep_supported`). Of positions, `verdict_on_positions` says what has a size.
 """
 
 from __future__ import annotations
@@ -63,25 +63,25 @@ def decide_verdict(
     judged : bool
         Whether the model's own uncertainty on these motions is small enough to find no gap.
     """
-    if (by_effects := _explanation(causes, closure)) is not None:
+    if (by_effects := _verdict_by(causes, closure)) is not None:
         return replace(by_effects, causes=(*by_effects.causes, *filter(has_size, path or ())))
-    if path and not selected.leaves_gap and (by_path := _explanation(path, path[0].closure)) is not None:
+    if path and not selected.leaves_gap and (by_path := _verdict_by(path, path[0].closure)) is not None:
         return by_path
     gap = selected.leaves_gap or path is not None
     enough = by_numbers > (1 - LIMITS.least_share if gap else 0.0)
-    if enough and (of_file := _explanation(numbers, by_numbers)) is not None:
+    if enough and (of_file := _verdict_by(numbers, by_numbers)) is not None:
         return of_file
     return Verdict("unknown" if gap or not judged else "no_gap", (), closure)
 
 
 def decide_by_position(
-    causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None, exceeds: bool
+    causes: Sequence[Cause], numbers: Sequence[Cause], closure: float | None, beyond_chance: bool
 ) -> Verdict:
     """Return the verdict on positions: effects and moved numbers that have a size, what closes most first.
 
     Most of the gap of a file is often its missing delay, so an effect has its size in what numbers leave. Together they
     have a size too: numbers that moved along a direction that the motion does not tell may close nothing. A gap is
-    where a joint `exceeds` what a right file leaves by chance: no baseline says what of each effect a healthy arm has.
+    where a joint errs `beyond_chance`: no baseline says what of each effect a healthy arm has.
     """
     sized = tuple(sorted((*causes, *numbers), key=lambda cause: -(cause.closure or 0.0)))
     if sized and closure is not None and closure >= LIMITS.least_share:
@@ -89,10 +89,24 @@ def decide_by_position(
             return Verdict("ambiguous", sized, closure)
         if closure >= LIMITS.explained:
             return Verdict("explained", sized, closure)
-    return Verdict("unknown" if exceeds else "no_gap", (), closure)
+    return Verdict("unknown" if beyond_chance else "no_gap", (), closure)
 
 
-def _explanation(causes: Sequence[Cause], closure: float | None) -> Verdict | None:
+def with_numbers(verdict: Verdict, causes_as_given: Sequence[Cause], numbers: Sequence[Cause]) -> Verdict:
+    """The verdict with the numbers of a simulator's file among its causes, what closes most first.
+
+    A file without friction is wrong in its friction, whatever else is found next to it. `causes_as_given` are its
+    effects with their parts of the gap of the file as it was given.
+    """
+    if not causes_as_given or not verdict.causes:
+        return verdict
+    closures = {(cause.effect, cause.joints): cause.closure for cause in causes_as_given}
+    effects = [replace(c, closure=closures.get((c.effect, c.joints), c.closure)) for c in verdict.causes]
+    causes = tuple(sorted([*effects, *filter(has_size, numbers)], key=lambda cause: -(cause.closure or 0.0)))
+    return Verdict("ambiguous" if causes[0].equivalent_to else "explained", causes, verdict.closure)
+
+
+def _verdict_by(causes: Sequence[Cause], closure: float | None) -> Verdict | None:
     """Return the verdict by the causes that have a size; None if they may not be named, or predict no better."""
     sized = tuple(filter(has_size, causes))
     if closure is None or closure <= 0 or not sized:
@@ -160,7 +174,7 @@ def keep_supported(
             continue
         causes = causes_of(dataset, selected, gap)
         lacking = shortfalls(selected.fit, gap, selected.causes, selected.irreplaceable)
-        explanation = _explanation(causes, explained_part(selected.fit, gap, len(causes)))
+        explanation = _verdict_by(causes, explained_part(selected.fit, gap, len(causes)))
         kept = () if explanation is None else explanation.causes
         if len(kept) == len(causes) and not any(lacking):
             return selected, gap

@@ -10,32 +10,21 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
-from agent.diagnosis.gap.adequacy import exceeds, explained_part, remainders
+from agent.diagnosis.gap.adequacy import errs_beyond_chance, explained_part
 from agent.diagnosis.gap.drives_off import channel_zero, zero_likelihood, zero_remarks
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
-from agent.diagnosis.gap.torque_gap import held_out_gap, rms
 from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.workflow import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
-from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator, with_numbers
+from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator
 from agent.diagnosis.simulator_file.numbers_as_causes import causes_of_numbers
-from agent.diagnosis.simulator_file.parameter_groups import open_numbers
-from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, released_fit
-from agent.diagnosis.simulator_file.servo_table import differing_causes, doubtful_gains
-from agent.diagnosis.verdict import (
-    Verdict,
-    causes_of,
-    decide_by_position,
-    decide_verdict,
-    has_size,
-    keep_supported,
-    name_causes,
-)
+from agent.diagnosis.simulator_file.position_verdict import verdict_on_positions
+from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator
+from agent.diagnosis.verdict import Verdict, causes_of, decide_verdict, keep_supported, name_causes, with_numbers
 from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
@@ -103,7 +92,7 @@ def diagnose(
         usual = None if model is None else healthy_on(dataset.fit, model, without)
         search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
         searched = search.run()
-        selected = replace(name_causes(searched, _errs(dataset, searched)), zero_known=zero is not None)
+        selected = replace(name_causes(searched, errs_beyond_chance(dataset, searched)), zero_known=zero is not None)
         if (held := held_torque(dataset, selected.fit)) is not None:
             selected = selected.without_causes(leaves_gap=True)
         explanation = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *keep_supported(dataset, selected))
@@ -115,53 +104,20 @@ def diagnose(
     return build(explanation, _verdict(explanation, motion), motion, (*twice, *of_zero, *said), held)
 
 
-def _errs(dataset: Dataset, searched: SelectedCauses) -> bool:
-    """Whether a joint errs by more than chance, whatever friction may differ by from day to day.
-
-    A model of one log does not tell by how much it errs on other motions.
-    """
-    if not dataset.given or len(dataset.model.provenance.get("logs", ())) < 2:
-        return False
-    another_day = dataset.fit.with_prior(searched.evidence.prior)
-    return exceeds(another_day, held_out_gap(dataset, another_day), LIMITS.deviations)
-
-
 def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
     """The verdict on causes, executed path and moved numbers of a simulator's file."""
-    gap, by_numbers = (
-        explanation.gap if explanation.of_file else explanation.as_given,
-        explanation.as_given.closure or 0.0,
-    )
-    causes = causes_of(explanation.dataset, explanation.selected, gap)
-    names = explanation.dataset.robot.joint_names
-    of_positions = explanation.dataset.servos is not None
-    remainder = remainders(explanation.dataset, explanation.gap) if of_positions else ()
-    doubted = {names.index(part.joint) for part in remainder}
-    numbers = causes_of_numbers(
-        explanation.released, explanation.selected, explanation.as_given, doubtful_gains(explanation), doubted
-    )
-    if of_positions:
-        whole = causes_of(explanation.dataset, explanation.selected, explanation.as_given)
-        pairs = zip(whole, causes, strict=True)
-        sized = [of_all for of_all, of_rest in pairs if has_size(of_rest)]
-        gap, given, told = explanation.as_given, explanation.released.given, list(filter(has_size, numbers))
-        errs = gap.before * gap.unit >= explanation.selected.fit.usual_error
-        differ = [
-            cause
-            for cause in differing_causes(explanation, told)
-            if errs[[names.index(name) for name in cause.joints or names]].any()
-        ]
-        left_open = rms(gap.beyond(released_fit(given, open_numbers(given)).out_of_fold()))
-        beyond_chance = LIMITS.deviations * given.fit.sigma.min(axis=0)  # less tells nothing where nothing is named
-        exceeds_chance = np.minimum(gap.before * gap.unit, left_open) >= beyond_chance
-        return decide_by_position(sized, differ, gap.closure, bool(exceeds_chance.any()))
+    dataset, selected, as_given = explanation.dataset, explanation.selected, explanation.as_given
+    if dataset.servos is not None:
+        return verdict_on_positions(explanation)
+    gap = explanation.gap if explanation.of_file else as_given
+    causes = causes_of(dataset, selected, gap)
+    numbers = causes_of_numbers(explanation.released, selected, as_given)
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
-    dataset = explanation.dataset
-    judged = not np.any(dataset.open_joints & (gap.before * gap.unit > dataset.fit.usual_error))
-    closure = explained_part(explanation.selected.fit, gap, len(causes))
-    verdict = decide_verdict(explanation.selected, causes, closure, path, numbers, by_numbers, judged)
-    return with_numbers(verdict, explanation, numbers) if explanation.of_file else verdict
+    judged = not np.any(dataset.open_joints & dataset.fit.beyond_usual(gap.rmse_before))
+    closure = explained_part(selected.fit, gap, len(causes))
+    verdict = decide_verdict(selected, causes, closure, path, numbers, as_given.closure or 0.0, judged)
+    return with_numbers(verdict, causes_of(dataset, selected, as_given), numbers) if explanation.of_file else verdict
 
 
 def check_effects(names: Sequence[str]) -> None:

@@ -231,4 +231,4 @@ def load_distinguishes(
         np.nan_to_num(scorer.evidence(sum((scorer.information_of(motion) for motion in motions), scorer.nothing)))
         for scorer in (bare, loaded)
     )
-    return bool(np.any(second > LIMITS.alike * first))
+    return bool(np.any((1 - LIMITS.least_share) * second > first))

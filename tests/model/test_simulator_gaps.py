@@ -18,15 +18,9 @@ from agent.diagnosis.corrected_simulator import held_out_errors
 from agent.diagnosis.document import Cause, EffectPlace
 from agent.diagnosis.forward import windows as forward_windows
 from agent.diagnosis.rows.dataset import assemble
-from agent.diagnosis.simulator_file.explanation import (
-    _NUMBERS,
-    Explanation,
-    _possible,
-    with_expected_error,
-    with_numbers,
-)
+from agent.diagnosis.simulator_file.explanation import _NUMBERS, _possible, with_expected_error
 from agent.diagnosis.simulator_file.reversals import with_reversals
-from agent.diagnosis.verdict import Verdict
+from agent.diagnosis.verdict import Verdict, with_numbers
 from agent.estimation import estimate
 from agent.model import CATALOGUE, IdentifiedModel, Reversal, possible_model
 from agent.pages.diagnosis.page import diagnosis_report
@@ -86,17 +80,14 @@ def test_an_accepted_model_exported_to_a_simulator_has_no_gap_on_the_logs_that_i
     assert {entry.effect for entry in reversing.effects} <= {"presliding"}, "the effects file has it"
 
 
-def test_what_closes_most_of_the_gap_comes_first(monkeypatch):
+def test_what_closes_most_of_the_gap_comes_first():
     small, friction = Cause("presliding", ("pan",), 0.3, 0.9, {"level": 1.0}), ("friction_change", ("lift",))
-    monkeypatch.setattr("agent.diagnosis.simulator_file.explanation.causes_of", lambda *_: (small,))
-    found = Explanation(SimpleNamespace(), SimpleNamespace(), SimpleNamespace(causes=(1,), fit=0), SimpleNamespace())
-    found.__dict__.update(dataset=None, as_given=None)
     numbers = (Cause(*friction, 0.61, 0.9, {"coulomb_change": 2.0}), Cause("payload", (), 0.02, 0.9, {"mass": 1.0}))
-    verdict = with_numbers(Verdict("explained", (small,), 0.9), found, numbers)
+    verdict = with_numbers(Verdict("explained", (small,), 0.9), (small,), numbers)
     assert [cause.effect for cause in verdict.causes] == ["friction_change", "presliding"]
     assert verdict.name == "explained"
     rivalled = replace(numbers[0], equivalent_to=(EffectPlace("torque_constant", ("lift",)),))
-    assert with_numbers(Verdict("explained", (small,), 0.9), found, (rivalled,)).name == "ambiguous"
+    assert with_numbers(Verdict("explained", (small,), 0.9), (small,), (rivalled,)).name == "ambiguous"
 
 
 def test_a_correction_that_errs_more_than_the_file_is_not_written(nominal, tmp_path):

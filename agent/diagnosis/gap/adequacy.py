@@ -2,6 +2,14 @@
 
 Log evidence compares effects of the catalogue with each other. It cannot tell that all of them are wrong. Held-out
 errors can, whatever the effect (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+
+Whether a joint errs by more than a healthy one is asked in three ways, of its held-out error over the noise level σ:
+
+| question | limit | who asks |
+| --- | --- | --- |
+| more than usual | 2 σ, `Fit.beyond_usual` | whether there is a gap, and which joints a cause needs |
+| no chance | 3 σ, `Fit.beyond_chance` and `errs_beyond_chance` | whether a gap that nobody explains is said |
+| more than causes may leave | `remainder_sizes` over 1 | whether the causes explain what they claim |
 """
 
 from __future__ import annotations
@@ -13,9 +21,10 @@ from scipy.special import chdtri
 
 from agent.diagnosis.document import Remainder
 from agent.diagnosis.gap.regime_shares import regimes
-from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
+from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.noise_model import smooth_parts
+from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset
@@ -34,12 +43,23 @@ def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     """
     before, after = _while_moving(fit, gap)
     own = (LARGEST_ERROR * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, _moving(fit, gap))
-    return np.asarray(after / np.sqrt(own + (1 - LAW.certain) * before**2))
+    return np.asarray(after / np.sqrt(own + LIMITS.negligible * before**2))
 
 
 def exceeds(fit: Fit, gap: HeldOutGap, times: float = LIMITS.usual_error) -> bool:
     """Return whether a joint errs by as many `times` a model's own error, as given and also if its parameters move."""
     return bool((np.minimum(*_while_moving(fit, gap)) >= times * fit.sigma.min(axis=0)).any())
+
+
+def errs_beyond_chance(dataset: Dataset, searched: SelectedCauses) -> bool:
+    """Return whether a joint errs by more than chance, whatever friction may differ by from day to day.
+
+    A model of one log does not tell by how much it errs on other motions.
+    """
+    if not dataset.given or len(dataset.model.provenance.get("logs", ())) < 2:
+        return False
+    another_day = dataset.fit.with_prior(searched.evidence.prior)
+    return exceeds(another_day, held_out_gap(dataset, another_day), LIMITS.deviations)
 
 
 def _while_moving(fit: Fit, gap: HeldOutGap) -> tuple[np.ndarray, np.ndarray]:

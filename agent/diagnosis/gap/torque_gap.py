@@ -35,6 +35,16 @@ class HeldOutGap:
     floor: np.ndarray | None
 
     @property
+    def rmse_before(self) -> np.ndarray:
+        """(n,) [N·m] `before` without its unit."""
+        return self.before * self.unit
+
+    @property
+    def rmse_after(self) -> np.ndarray:
+        """(n,) [N·m] `after` without its unit."""
+        return self.after * self.unit
+
+    @property
     def closure(self) -> float | None:
         """(B² − A²) / (B² − F²); None where there is nothing to close."""
         return closure(self.before, self.before, self.after, self.floor)
@@ -86,7 +96,7 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     stuck = np.where(fit.near_rest, np.minimum(np.abs(remaining), possible), 0.0)
     raw, remaining = _beyond(raw, stuck), _beyond(remaining, stuck)
     before, after = rms(raw) / unit, rms(remaining) / unit
-    floor = _floor(dataset, remaining, unit, before)
+    floor = _floor(dataset, fit, remaining, unit, before)
     return HeldOutGap(raw, remaining, stuck, unit, before, after, floor)
 
 
@@ -100,7 +110,9 @@ def rms(rows: np.ndarray) -> np.ndarray:
     return np.sqrt(np.nanmean(rows**2, axis=0))
 
 
-def _floor(dataset: Dataset, remaining: np.ndarray, unit: np.ndarray, before: np.ndarray) -> np.ndarray | None:
+def _floor(
+    dataset: Dataset, fit: Fit, remaining: np.ndarray, unit: np.ndarray, before: np.ndarray
+) -> np.ndarray | None:
     """√(½ mean (e_{c+1} − e_c)²) over adjacent cycles of the final residual, at equal times since the cycle's start."""
     parts = []
     for number, log in enumerate(dataset.logs):
@@ -127,4 +139,4 @@ def _floor(dataset: Dataset, remaining: np.ndarray, unit: np.ndarray, before: np
         return floor
     # a contact or a drifting torque does not repeat either: the model's error on other motions bounds the repeatability
     usual = dataset.model.held_out_rmse / unit
-    return np.where(before > LIMITS.usual_error * usual, np.minimum(floor, usual), floor)
+    return np.where(fit.beyond_usual(before * unit), np.minimum(floor, usual), floor)

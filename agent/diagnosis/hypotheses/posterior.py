@@ -21,6 +21,7 @@ from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.score import EvaluatedHypothesis
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses, share_joints
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import HypothesisKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
@@ -176,10 +177,11 @@ def _equal_by_definition(
 ) -> tuple[HypothesisKey, ...]:
     """Hypotheses that equal a cause by definition unless the logs show otherwise, and explain about as much."""
     known = CATALOGUE[place[0]].structurally_equivalent
+    as_much = (1 - LIMITS.negligible) * leader.log_bayes_factor
     equal = {
         other: None
         for hypothesis in hypotheses
-        if hypothesis.log_bayes_factor >= (1 - LAW.form) * leader.log_bayes_factor and place not in hypothesis.places
+        if hypothesis.log_bayes_factor >= as_much and place not in hypothesis.places
         for other in hypothesis.places
         if other[0] in known and share_joints(place, other)
     }

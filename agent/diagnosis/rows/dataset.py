@@ -78,7 +78,7 @@ class Dataset:
     @property
     def open_joints(self) -> np.ndarray:
         """(n,) bool: joints whose torque on these motions is open by more than usual of the model's held-out error."""
-        return np.asarray(self.open_error > self.fit.usual_error)
+        return self.fit.beyond_usual(self.open_error)
 
     @property
     def of(self) -> str:

@@ -138,6 +138,14 @@ class Fit:
         """(n,) [N·m, or rad or m] largest error in motion that is the model's own, or that of a right file."""
         return np.asarray(LIMITS.usual_error * self.sigma.min(axis=0))
 
+    def beyond_usual(self, error: np.ndarray) -> np.ndarray:
+        """(n,) bool: where an error (n,) [N·m] is more than a healthy arm's usual one."""
+        return np.asarray(error >= self.usual_error)
+
+    def beyond_chance(self, error: np.ndarray) -> np.ndarray:
+        """(n,) bool: where an error (n,) [N·m] is no chance, whatever explains it."""
+        return np.asarray(error >= LIMITS.deviations * self.sigma.min(axis=0))
+
     def with_reference(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
         loads = [signals.reference.payload for signals in self.signals]

@@ -22,7 +22,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.document import Cause, WaterfallStep
+from agent.diagnosis.document import WaterfallStep
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.search import Search
@@ -35,7 +35,7 @@ from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, release_all
 from agent.diagnosis.simulator_file.reversals import with_reversals
 from agent.diagnosis.simulator_file.waterfall import waterfall
-from agent.diagnosis.verdict import Verdict, causes_of, has_size, keep_supported, name_causes
+from agent.diagnosis.verdict import keep_supported, name_causes
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import BELOW_ZERO, CATALOGUE, FileNumbers, IdentifiedModel
 from agent.recording import Log
@@ -99,7 +99,7 @@ class Explanation:
             return self.remaining_error <= best
         like_load = any(candidate.effect.numbers == FileNumbers.LOAD for candidate in self.selected.causes)
         if like_load or self.released.moved.servos is not None:
-            return self.remaining_error <= LIMITS.alike * best
+            return (1 - LIMITS.least_share) * self.remaining_error <= best
         return self.remaining_error - best <= enough
 
     @property
@@ -236,12 +236,12 @@ def _exceeds_expected_error(dataset: Dataset, selected: SelectedCauses, gap: Hel
     With torque a small effect may be named next to a large one, and in positions a servo that `_is_limit_cycle`.
     """
     if dataset.servos is None:
-        return bool((gap.before * gap.unit >= dataset.fit.usual_error).any())
+        return bool(dataset.fit.beyond_usual(gap.rmse_before).any())
     if _is_limit_cycle(dataset, selected, number):
         return True
     without = rms(gap.beyond(selected.fit.out_of_fold(selected.fit.transient, number)))
     joints = list(selected.causes[number].joints) or slice(None)
-    return bool((np.minimum(without, gap.before * gap.unit) >= dataset.fit.usual_error)[joints].any())
+    return bool(dataset.fit.beyond_usual(np.minimum(without, gap.rmse_before))[joints].any())
 
 
 def _is_limit_cycle(dataset: Dataset, selected: SelectedCauses, number: int) -> bool:
@@ -251,27 +251,6 @@ def _is_limit_cycle(dataset: Dataset, selected: SelectedCauses, number: int) -> 
     """
     twists = dataset.servos is not None and "twist" in selected.causes[number].effect.shapes
     return twists and selected.probability[number] >= LAW.sure and selected.irreplaceable(number)
-
-
-def with_numbers(verdict: Verdict, explanation: Explanation, numbers: Sequence[Cause]) -> Verdict:
-    """The verdict with the numbers of the file among its causes, what closes most of the given file's gap first.
-
-    A file without friction is wrong in its friction, whatever else is found next to it.
-    """
-    if not explanation.selected.causes or not verdict.causes:
-        return verdict
-    figures = {
-        (entry.effect, entry.joints): entry
-        for entry in causes_of(explanation.dataset, explanation.selected, explanation.as_given)
-    }
-    effects = [
-        replace(entry, closure=figures[entry.effect, entry.joints].closure)
-        if (entry.effect, entry.joints) in figures
-        else entry
-        for entry in verdict.causes
-    ]
-    causes = tuple(sorted([*effects, *filter(has_size, numbers)], key=lambda cause: -(cause.closure or 0.0)))
-    return Verdict("ambiguous" if causes[0].equivalent_to else "explained", causes, verdict.closure)
 
 
 def replacing_numbers(entry: Explanation, number: int, unit: np.ndarray) -> ReleasedSimulator | None:
@@ -284,7 +263,8 @@ def replacing_numbers(entry: Explanation, number: int, unit: np.ndarray) -> Rele
         return None
     others = (*causes[:number], *causes[number + 1 :])
     chosen = release(entry.released.given, others)
-    return chosen if _remaining_error_with(chosen, others, unit) <= LIMITS.alike * entry.remaining_error else None
+    remaining = _remaining_error_with(chosen, others, unit)
+    return chosen if (1 - LIMITS.least_share) * remaining <= entry.remaining_error else None
 
 
 def _remaining_error_with(chosen: ReleasedSimulator, causes: Sequence[Candidate], unit: np.ndarray) -> float:

@@ -123,8 +123,8 @@ def _groups_that_cause(
     late = [group for group in released.groups if group.kind == DELAY]
     for of_arm in filter(None, (late, [group for group in released.groups if group.moves_links])):
         without = rms(gap.beyond(_without(released, of_arm, causes)))
-        closed = (without**2 - (gap.after * gap.unit) ** 2) / fit.sigma.min(axis=0) ** 2
-        if (without >= fit.usual_error).any() and int(np.argmax(closed)) not in doubted:
+        closed = (without**2 - gap.rmse_after**2) / fit.sigma.min(axis=0) ** 2
+        if fit.beyond_usual(without).any() and int(np.argmax(closed)) not in doubted:
             kept += of_arm
     for joint in sorted(set(range(len(fit.rows))) - set(doubted)):
         own = [group for group in released.groups if group.joint == joint and not group.moves_links]
@@ -132,7 +132,7 @@ def _groups_that_cause(
         while own:  # of numbers that stand in for each other one has to be wrong, not all
             errors = [rms(gap.beyond(_without(released, [*spared, group], causes))) for group in own]
             least = min(range(len(own)), key=lambda k: float(errors[k][joint]))
-            if (errors[least] >= fit.usual_error)[joint]:
+            if fit.beyond_usual(errors[least])[joint]:
                 break
             spared.append(own.pop(least))
         kept += own
@@ -168,7 +168,7 @@ def _like_offset(
 
     def as_little(fit: Fit) -> bool:
         error = rms(gap.beyond(fit.out_of_fold(fit.transient)))[joint]
-        return bool(error <= LIMITS.alike * (gap.after * gap.unit)[joint])
+        return bool(error <= LIMITS.alike * gap.rmse_after[joint])
 
     fit = released_fit(released.given, others)
     with_zero = fit.with_chosen((*causes, *fit.candidates([(zero, (joint,), {})])))
@@ -188,7 +188,7 @@ def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: 
     pool = [group for group in pool if group.kind != OFFSET or (group.kind, group.joint) in known]
     fit = released_fit(released.given, stepwise_groups(released.given, pool, causes)).with_chosen(causes)
     error = rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit
-    return bool(np.mean(error**2) <= LIMITS.alike * np.mean(gap.after**2))
+    return bool((1 - LIMITS.least_share) * np.mean(error**2) <= np.mean(gap.after**2))
 
 
 def likely_effects_on(released: ReleasedSimulator, selected: SelectedCauses, group: Group) -> list[str]:

@@ -74,7 +74,7 @@ def release(
         gains = [fit.error(fit.transient) - other.error(fit.transient) for other in tried]
         if max(gains) < least:
             break
-        best = next(k for k, gain in enumerate(gains) if LIMITS.alike * gain >= max(gains))
+        best = next(k for k, gain in enumerate(gains) if gain >= (1 - LIMITS.least_share) * max(gains))
         chosen.append(pool.pop(best))
         fit = tried[best]
         for group in chosen[:-1]:  # what was taken for it before may be needed no more, as a link further out

@@ -45,7 +45,7 @@ def doubtful_gains(found: Explanation) -> tuple[int, ...]:
     if found.dataset.servos is None:
         return ()
     values, low, high = _intervals(found)
-    return tuple(np.flatnonzero(high.kp - low.kp > 2 * (LIMITS.alike - 1) * values.kp).tolist())
+    return tuple(np.flatnonzero(high.kp - low.kp > 2 * LIMITS.least_share * values.kp).tolist())
 
 
 def servo_table(found: Explanation) -> dict[str, Any]:

@@ -1,0 +1,37 @@
+"""The verdict on positions: which effects and moved numbers have a size, and whether what is left is no chance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from agent.diagnosis.gap.adequacy import remainders
+from agent.diagnosis.gap.torque_gap import rms
+from agent.diagnosis.simulator_file.explanation import Explanation
+from agent.diagnosis.simulator_file.numbers_as_causes import causes_of_numbers
+from agent.diagnosis.simulator_file.parameter_groups import open_numbers
+from agent.diagnosis.simulator_file.released_numbers import released_fit
+from agent.diagnosis.simulator_file.servo_table import differing_causes, doubtful_gains
+from agent.diagnosis.verdict import Verdict, causes_of, decide_by_position, has_size
+
+
+def verdict_on_positions(explanation: Explanation) -> Verdict:
+    """The verdict on effects and moved numbers of a file that was judged by its free motion.
+
+    An effect has its size in what the numbers leave. A number counts on joints that err by more than a right file does.
+    """
+    dataset, selected, gap = explanation.dataset, explanation.selected, explanation.as_given
+    names, released = dataset.robot.joint_names, explanation.released
+    with_remainder = {names.index(part.joint) for part in remainders(dataset, explanation.gap)}
+    numbers = causes_of_numbers(released, selected, gap, doubtful_gains(explanation), with_remainder)
+    sizes = causes_of(dataset, selected, gap), causes_of(dataset, selected, explanation.gap)
+    effects = [of_all for of_all, of_rest in zip(*sizes, strict=True) if has_size(of_rest)]
+    errs = selected.fit.beyond_usual(gap.rmse_before)
+    wrong_numbers = [
+        cause
+        for cause in differing_causes(explanation, [*filter(has_size, numbers)])
+        if errs[[names.index(name) for name in cause.joints or names]].any()
+    ]
+    file = released.given
+    left_open = rms(gap.beyond(released_fit(file, open_numbers(file)).out_of_fold()))
+    beyond_chance = file.fit.beyond_chance(np.minimum(gap.rmse_before, left_open))
+    return decide_by_position(effects, wrong_numbers, gap.closure, bool(beyond_chance.any()))
