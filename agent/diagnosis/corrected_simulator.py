@@ -78,7 +78,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     effects += reversing
     reasons |= {(effect.effect, effect.joints): "how friction reverses" for effect in reversing}
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
-    unexplained = fit.error(fit.transient) / fit.rows_per_independent
+    unexplained = fit.error / fit.rows_per_independent
     correction = correct(simulator, of_model, weight, unexplained, inertia, effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap
     model = replace(

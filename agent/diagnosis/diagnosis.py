@@ -158,7 +158,7 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
             "explains it; compared with a usual simulator it is largest on "
             f"{names[int(np.argmax(gap.rmse_after / usual))]}"
         )
-    if not explanation.of_file and dataset.given and not selected.causes and not dataset.open_joints.any():
+    if not explanation.of_file and dataset.has_reference and not selected.causes and not dataset.open_joints.any():
         if (absorbed := explanation.gap.absorbed) > 1 - LIMITS.explained:
             yield (
                 f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "

@@ -54,7 +54,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     prior = np.eye(spread.shape[1])
     prior[count:, count:] = fit.prior[p:, p:]
     covariance = np.linalg.inv(spread.T @ information @ spread + prior)
-    energy = np.nanmean((fit.out_of_fold(fit.transient) / fit.sigma) ** 2)
+    energy = np.nanmean((fit.held_out() / fit.sigma) ** 2)
     deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
     result, at = [], 0
     for group in released.groups:

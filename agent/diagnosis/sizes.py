@@ -90,7 +90,7 @@ def intervals(selected: SelectedCauses) -> list[dict[str, tuple[float, float]]]:
     it has those of the short segments that it is judged by.
     """
     fit = selected.fit
-    motions, halves = ([fit.fitted(fold)[1] for fold in folds] for folds in (fit.folds, fit.single_folds))
+    motions, halves = ([fit.fitted(fold)[1] for fold in folds] for folds in (fit.folds, fit.segment_folds))
     of_causes = []
     for number, candidate in enumerate(selected.causes):
         settings = {name: float(value) for name, value in candidate.settings.items()}

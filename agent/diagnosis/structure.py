@@ -48,7 +48,7 @@ def with_structure(
     fit = assemble(robot, model, logs, model.cutoff, refitted=True).fit
     forms = fit.candidates([(cause.effect, cause.joints, cause.settings) for cause in lasting])
     extended = fit.with_chosen(forms)
-    before, after = (rms(of_model.out_of_fold()) for of_model in (fit, extended))
+    before, after = (rms(of_model.held_out()) for of_model in (fit, extended))
     error = float(np.sum((after / model.held_out_rmse) ** 2) / np.sum((before / model.held_out_rmse) ** 2))
     places = [", ".join(robot.joint_names[j] for j in form.joints) or "the whole arm" for form in forms]
     names = " and ".join(f"{form.effect.name} on {where}" for form, where in zip(forms, places, strict=True))

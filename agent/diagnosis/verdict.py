@@ -196,7 +196,7 @@ def drop_replaceable(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCause
     lost = []
     for number in range(count):
         others = selected.keeping([k for k in range(count) if k != number])
-        remaining = others.fit.out_of_fold(others.fit.transient)
+        remaining = others.fit.held_out()
         shares = gap.closure_without(remaining), _closure_on_own(selected, gap, number, remaining)
         lost.append((max(share or 0.0 for share in shares), number, others))
     share, _, others = min(lost)
@@ -206,7 +206,7 @@ def drop_replaceable(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCause
 def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tuple[Cause, ...]:
     """Return the causes of a finding with their figures."""
     fit, joints = selected.fit, dataset.robot.joint_names
-    taken_out = [fit.out_of_fold(fit.transient, number) for number in range(len(selected.causes))]
+    taken_out = [fit.held_out(without=number) for number in range(len(selected.causes))]
     parts = zip(selected.causes, taken_out, fit.values, selected.rivals, selected.probability, strict=True)
     return tuple(
         Cause(

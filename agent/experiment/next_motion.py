@@ -210,7 +210,7 @@ def _nothing_to_separate(diagnosis: Diagnosis) -> NoMotion:
 def _where_known(problem: LoopProblem, diagnosis: Diagnosis) -> LoopProblem:
     """Keep the joints where the external model was fitted and the logs go: elsewhere the model's error is larger."""
     known = known_positions(diagnosis.dataset.model)
-    if known is None or not diagnosis.dataset.given:
+    if known is None or not diagnosis.dataset.has_reference:
         return problem
     ranges = dict(problem.joint_ranges)
     q = np.concatenate([signals.q for signals in diagnosis.dataset.fit.signals])

@@ -46,12 +46,12 @@ def reasons(
     """Reasons against causes with these torques (S, 2), between errors without and with them."""
     fit = SimpleNamespace(
         transient=False,
-        given=True,
+        keeps_parameters=True,
         chosen=(),
         rows=JOINTS,
         near_rest=np.zeros(left.shape, dtype=bool),
         sigma=np.ones(left.shape),
-        out_of_fold=lambda once, number=None: left if number is None else left + torque[number],
+        held_out=lambda without=None: left if without is None else left + torque[without],
         reference=SimpleNamespace(robot=SimpleNamespace(joint_names=JOINTS)),
     )
     gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
@@ -78,7 +78,7 @@ def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause(size, ratio):
     rows = left + torque + by_model
     gap = HeldOutGap(rows, left, np.zeros(rows.shape), np.ones(2), rms(rows), rms(left), None)
     fit = SimpleNamespace(
-        transient=False, given=True, out_of_fold=lambda once, number=None: left if number is None else left + torque
+        transient=False, keeps_parameters=True, held_out=lambda without=None: left if without is None else left + torque
     )
     assert closed_alone(fit, gap, 1) == pytest.approx(1 / (1 + ratio**2), abs=0.1)
 
@@ -91,7 +91,7 @@ def test_a_change_of_the_model_that_does_harm_elsewhere_takes_nothing_from_a_cau
     rows = LONG[:, 0] * [1e-3, size] + torque
     gap = HeldOutGap(rows, left, np.zeros(rows.shape), np.ones(2), rms(rows), rms(left), None)
     fit = SimpleNamespace(
-        transient=False, given=True, out_of_fold=lambda once, number=None: left if number is None else left + torque
+        transient=False, keeps_parameters=True, held_out=lambda without=None: left if without is None else left + torque
     )
     assert explained_part(fit, gap, 1) == max(gap.closure, closed_alone(fit, gap, 1))
     assert explained_part(fit, gap, 1) > 0 > gap.closure
@@ -163,7 +163,7 @@ def test_on_an_arm_the_right_cause_passes_and_a_relative_of_it_does_not(case):
         effect = CATALOGUE[name]
         forms = case.fit.candidates([(effect, (2,), s) for s in effect.settings(case.fit, (2,))])
         fits = [case.fit.with_chosen([form]) for form in forms]
-        best = min(fits, key=lambda fit: fit.error())
+        best = min(fits, key=lambda fit: fit.error)
         gap = held_out_gap(case, best)
         found[name] = shortfalls(best, gap, best.chosen, lambda number: False)[0], list(remainders(case, gap))
     assert found["load_dependent_friction"] == ("", [])
@@ -178,7 +178,7 @@ def best_form(dataset, effect: str, *others):
     """The form of an effect on the last joint that leaves least, next to other forms."""
     effect = CATALOGUE[effect]
     forms = dataset.fit.candidates([(effect, (2,), settings) for settings in effect.settings(dataset.fit, (2,))])
-    return min(forms, key=lambda form: dataset.fit.with_chosen((form, *others)).error())
+    return min(forms, key=lambda form: dataset.fit.with_chosen((form, *others)).error)
 
 
 def test_a_cause_that_the_others_replace_in_another_form_is_not_needed(case):

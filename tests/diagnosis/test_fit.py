@@ -76,7 +76,7 @@ def test_fits_are_least_squares_over_the_rows_that_are_not_held_out(plain, forms
     assert [len(values) for values in fit.values] == [len(form.names) for form in forms]
     close(np.concatenate(fit.residuals), left_by(fit, forms, fitted))
     assert [len(part) for part in fit.residuals] == [len(part) for part in fit.sigmas] == [120, 50, 50]
-    kept = np.append(fitted[:5] * (not fit.given), fitted[5:])
+    kept = np.append(fitted[:5] * (not fit.keeps_parameters), fitted[5:])
     close(np.concatenate(fit.residuals_as_given), left_by(fit, forms, kept))
     assert fit.count.tolist() == [2 * np.sum(fit.cell == k) for k in range(4)]
     assert fit.transient == any(form.transient for form in forms)
@@ -87,11 +87,11 @@ def test_fits_are_least_squares_over_the_rows_that_are_not_held_out(plain, forms
         assert synthetic_fit().rows_per_independent == 1
 
 
-@pytest.mark.parametrize("single", [False, True])
-def test_rows_that_are_held_out_are_judged_by_the_fit_to_the_others(plain, forms, single):
+@pytest.mark.parametrize("by_segments", [False, True])
+def test_rows_that_are_held_out_are_judged_by_the_fit_to_the_others(plain, forms, by_segments, monkeypatch):
     fit, taken_out = plain.with_chosen(forms), range(len(forms))
     expected = [np.full(fit.sigma.shape, np.nan) for _ in (None, *taken_out)]
-    folds, spans = fit.single_folds if single else fit.folds, written_out(fit, forms)[1]
+    folds, spans = fit.segment_folds if by_segments else fit.folds, written_out(fit, forms)[1]
     for fold in folds:
         fitted = least_squares(fit, forms, fold.train)[1]
         change, values = fit.fitted(fold)
@@ -101,10 +101,10 @@ def test_rows_that_are_held_out_are_judged_by_the_fit_to_the_others(plain, forms
             some = fitted.copy()
             some[span] = 0
             left[held] = left_by(fit, forms, some)[held]
-    way = {"single": True} if single else {}
-    assert fit.error(**way) == pytest.approx(held_out_error(fit, forms, folds))
+    monkeypatch.setattr(Fit, "transient", by_segments)
+    assert fit.error == pytest.approx(held_out_error(fit, forms, folds))
     for number, left in zip((None, *taken_out), expected, strict=True):
-        seen = fit.out_of_fold(taken_out=number, **way)
+        seen = fit.held_out(without=number)
         close(seen, left)
         assert not seen.flags.writeable
 
@@ -116,7 +116,8 @@ def test_another_residual_or_prior_is_as_if_all_was_made_anew(plain, forms):
         fit = plain.with_residual(left).with_chosen(forms).with_residual(residual)
         assert np.array_equal([rows[:, -1] for rows in fit.rows], residual.T)
         assert fit.chosen == ()
-        close(fit.with_chosen(forms).error(), held_out_error(fit, forms, fit.folds))
+        chosen = fit.with_chosen(forms)
+        close(chosen.error, held_out_error(fit, forms, chosen.test_folds))
         close(fit.with_chosen(forms[::-1]).solve(ALL)[1], least_squares(fit, forms[::-1])[1])
     tight = plain.with_chosen(forms).with_prior(4 * plain.precision)
     close(tight.change, least_squares(tight, ())[1])

@@ -47,7 +47,7 @@ class Written:
         self.log, self.base = np.repeat([0, 1], [60, 50]), self.sigma.min(axis=1)
         self.columns, self.effects = whole[..., :5].reshape(-1, 5), [whole[..., span] for span in spans]
         self.size = [np.sqrt(np.mean((one * self.sigma[..., None]) ** 2, axis=1)) for one in self.effects]  # N·m
-        self.learned = learned = fit.given and fit.reference.model.method != SIMULATOR
+        self.learned = learned = fit.keeps_parameters and fit.reference.model.method != SIMULATOR
         covariance = np.linalg.inv(fit.precision)
         self.friction = [2] if learned else []  # not the offset, and not what is zero
         self.prior = covariance.copy()

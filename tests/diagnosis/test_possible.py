@@ -78,11 +78,11 @@ def test_torque_within_stiction_at_standstill_keeps_no_cause_from_closing_the_ga
     rows = [np.column_stack([part[:, :-1], part[:, -1] + 1.5 * rest[:, j]]) for j, part in enumerate(fit.rows)]
     open_at_rest = Fit(
         fit.reference, fit.signals, rows, fit.index, fit.sigma, fit.precision, fit.prior_information,
-        fit.cell, fit.block, fit.folds, fit.single_folds,
+        fit.cell, fit.block, fit.folds, fit.segment_folds,
     ).with_chosen(fit.chosen)  # fmt: skip
     residual = found.dataset.residual + 1.5 * rest * fit.sigma
     gap = held_out_gap(replace(found.dataset, residual=residual), open_at_rest)
-    assert rms(open_at_rest.out_of_fold())[1] > 2 * rms(fit.out_of_fold())[1], "the error is there"
+    assert rms(open_at_rest.held_out())[1] > 2 * rms(fit.held_out())[1], "the error is there"
     assert gap.after.max() < 2 * found.gap.after.max(), "and it is no gap"
     assert gap.closure > 0.9
 

@@ -49,7 +49,7 @@ def test_an_interval_is_what_leaving_motions_out_says():
     causes = [
         SimpleNamespace(effect=effect, settings={"speed": 0.1}, names=("level",), transient=k) for k in (False, True)
     ]
-    fit = SimpleNamespace(reference=None, folds=range(5), single_folds=(5, 6), values=np.array([[3.0], [7.0]]))
+    fit = SimpleNamespace(reference=None, folds=range(5), segment_folds=(5, 6), values=np.array([[3.0], [7.0]]))
     fit.fitted = lambda fold: (None, np.array([[2.0 + fold], [3.0 * fold]]))
     repeats, transient = intervals(SimpleNamespace(fit=fit, causes=causes))
     half, of_once = 2.7764 * np.sqrt(4 / 5 * 10), 3.1824 * np.sqrt(1 / 2 * 4.5)

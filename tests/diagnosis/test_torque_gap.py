@@ -36,7 +36,7 @@ def test_a_cause_on_another_joint_does_not_close_the_gap(case):
     data, _ = case
     chosen = with_offset(data, 0)
     gap = held_out_gap(data, chosen)
-    alone = gap.closure_without(chosen.out_of_fold(chosen.transient, 0))
+    alone = gap.closure_without(chosen.held_out(without=0))
     assert alone < 0.25
 
 
@@ -51,7 +51,7 @@ def test_repeatability_is_the_difference_between_cycles(case):
     for repeats in (0.0, 5.0):
         noise = rng.normal(size=data.residual.shape) + repeats * np.sin(2 * np.pi * data.time / 5.0)[:, None]
         fit = data.fit.with_residual(size * noise / data.fit.sigma)
-        noisy = replace(data, residual=size * noise, fit=fit, given=False)
+        noisy = replace(data, residual=size * noise, fit=fit, has_reference=False)
         gap = held_out_gap(noisy, fit, np.full(data.robot.dof, size))
         assert gap.floor == pytest.approx(np.ones(data.robot.dof), rel=0.05)
 

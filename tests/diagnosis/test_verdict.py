@@ -132,8 +132,8 @@ def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_rep
         )
         for name, joints, more, own in (("stribeck", (2, 0), {"speed": 1}, names[0]), ("payload", (), {}, names[1]))
     )
-    fit = SimpleNamespace(reference=7, transient=True, values=[np.array([3.0]), np.array([4.0, 5.0])])
-    fit.out_of_fold = lambda once, number: 10 * number + once
+    fit = SimpleNamespace(reference=7, values=[np.array([3.0]), np.array([4.0, 5.0])])
+    fit.held_out = lambda without: 10 * without + 1
     gap = SimpleNamespace(closure_without=lambda left: 0.5 + left, closure_on=lambda joints, left: (joints, left))
     dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=("a", "b", "c")))
     rivals = ((("payload", ()), ("dress_pack", (1, 2))), ())

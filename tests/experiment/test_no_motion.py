@@ -50,7 +50,7 @@ def ask(tmp_path: Path, monkeypatch):
             selected=SimpleNamespace(zero_known=False),
             dataset=SimpleNamespace(
                 robot=recipe.robot,
-                given=False,
+                has_reference=False,
                 model=SimpleNamespace(provenance={}),
                 fit=SimpleNamespace(reference=SimpleNamespace(scale=np.full(6, 100.0), reach=2.0)),
             ),
@@ -233,7 +233,7 @@ def test_plans_within_the_fitted_and_logged_range():
     fitted = {"lowest": [-1.0, -1.0], "highest": [1.0, 1.0], "fastest": [1.0, 1.0]}
     found = SimpleNamespace(
         dataset=SimpleNamespace(
-            given=True,
+            has_reference=True,
             model=SimpleNamespace(provenance={"range": fitted}),
             fit=SimpleNamespace(signals=[SimpleNamespace(q=np.array([[-1.8, 0.0], [0.3, 0.2]]))]),
         )

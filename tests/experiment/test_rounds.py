@@ -83,7 +83,7 @@ def ask(tmp_path: Path, monkeypatch):
             if isinstance(verdict, BaseException):
                 raise verdict
             causes = [CAUSE] if verdict in ("explained", "ambiguous") else []
-            dataset = SimpleNamespace(given=given)
+            dataset = SimpleNamespace(has_reference=given)
             return DiagnosisRun(SimpleNamespace(result={"verdict": verdict, "causes": causes}, dataset=dataset))  # type: ignore[arg-type]
 
         plans = iter(motions or [Motion(), Motion(), NONE])

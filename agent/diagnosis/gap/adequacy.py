@@ -56,7 +56,7 @@ def errs_beyond_chance(dataset: Dataset, searched: SelectedCauses) -> bool:
 
     A model of one log does not tell by how much it errs on other motions.
     """
-    if not dataset.given or len(dataset.model.provenance.get("logs", ())) < 2:
+    if not dataset.has_reference or len(dataset.model.provenance.get("logs", ())) < 2:
         return False
     another_day = dataset.fit.with_prior(searched.evidence.prior)
     return exceeds(another_day, held_out_gap(dataset, another_day), LIMITS.deviations)
@@ -94,7 +94,7 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
                 at.append(np.arange(a, b))
         columns, places = np.hstack(parts), np.concatenate(at)
         variance = np.zeros(len(columns))
-        for fold in fit.single_folds if fit.transient else fit.folds:
+        for fold in fit.test_folds:
             inverse = fit.solve(fold.train)[0][np.ix_(places, places)]
             test = np.isin(fit.cell, np.flatnonzero(fold.test))
             variance[test] = np.einsum("si,ij,sj->s", columns[test], inverse, columns[test], optimize=True)
@@ -114,12 +114,12 @@ def shortfalls(
     """
     if not causes or gap.closure is None:
         return [""] * len(causes)
-    taken_out = [fit.out_of_fold(fit.transient, number) for number in range(len(causes))]
+    taken_out = [fit.held_out(without=number) for number in range(len(causes))]
     own, sizes = closed_alone(fit, gap, len(causes)), remainder_sizes(fit, gap)
     reasons = []
     for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
         joint = main_joint(fit, gap, candidate.joints or candidate.blocks, rows)
-        trades = fit.given and len(causes) > 1
+        trades = fit.keeps_parameters and len(causes) > 1
         if trades and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
             reasons.append("it and another cause cancel each other")
         elif sizes[joint] > 1 and not irreplaceable(number):
@@ -135,10 +135,10 @@ def closed_alone(fit: Fit, gap: HeldOutGap, count: int) -> float:
 
     A model that was fitted to the same logs trades with them freely, and its part is not separated.
     """
-    if not fit.given:
+    if not fit.keeps_parameters:
         return gap.closure or 0.0
-    error = fit.out_of_fold(fit.transient)
-    without = error + sum(fit.out_of_fold(fit.transient, number) - error for number in range(count))
+    error = fit.held_out()
+    without = error + sum(fit.held_out(without=number) - error for number in range(count))
     return gap.closure_without(without) or 0.0
 
 

@@ -88,8 +88,8 @@ def held_out_gap(dataset: Dataset, fit: Fit, unit: np.ndarray | None = None) -> 
     """The gap with the effects of a fit: every row under the parameters that did not see it."""
     if unit is None:
         unit = np.nan_to_num(dataset.robot.nominal_torque, nan=1.0)
-    remaining = fit.out_of_fold(fit.transient)
-    raw = dataset.residual if dataset.given else dataset.fit.out_of_fold()
+    remaining = fit.held_out()
+    raw = dataset.residual if dataset.has_reference else dataset.fit.held_out()
     raw = np.where(np.isnan(remaining[:, :1]), np.nan, raw)
     # friction that is predicted to hold one way may hold the other way: twice the level
     possible = np.maximum(fit.sigma, 2 * stiction(fit.reference))
@@ -135,7 +135,7 @@ def _floor(
     if not parts:
         return None
     floor = np.sqrt(0.5 * np.mean(np.concatenate(parts) ** 2, axis=0)) / unit
-    if not dataset.given:
+    if not dataset.has_reference:
         return floor
     # a contact or a drifting torque does not repeat either: the model's error on other motions bounds the repeatability
     usual = dataset.model.held_out_rmse / unit

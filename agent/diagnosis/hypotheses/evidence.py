@@ -108,7 +108,7 @@ class Evidence(Score):
 
         Its scales are those of what the fit leaves of held-out motion.
         """
-        scales = np.nanmean((fit.out_of_fold(fit.transient) / fit.sigma) ** 2, axis=0)
+        scales = np.nanmean((fit.held_out() / fit.sigma) ** 2, axis=0)
         matrix = self._information(fit.chosen, np.maximum(scales, LEAST_SCALE)) + fit.prior
         unit = 1 / np.sqrt(np.diag(matrix))
         half = solved_lower(scaled_cholesky(matrix, unit), np.diag(unit))

@@ -87,7 +87,7 @@ class NoiseModel:
         unknown = healthy is None or (healthy and all(effect.mean is None for effect in healthy))
         usual = self._usual(candidates) if unknown else {}
         healthy = healthy or ()
-        own_model = fit.given and fit.reference.model.method != SIMULATOR
+        own_model = fit.keeps_parameters and fit.reference.model.method != SIMULATOR
         # σ is what it errs by in other motion: less noise in these logs leaves more of that to its systematic error
         self._least_scale = 1.0 if own_model and healthy else 0.0
         spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))

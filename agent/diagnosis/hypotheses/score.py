@@ -315,7 +315,7 @@ class Score:
 def _varying_friction(fit: Fit) -> np.ndarray:
     """Parameters that differ from day to day: friction of a model that was estimated before on the machine."""
     model = fit.reference.model
-    if not fit.given or model.method == SIMULATOR:
+    if not fit.keeps_parameters or model.method == SIMULATOR:
         return np.empty(0, dtype=int)
     friction = [k for k, term in enumerate(model.terms, len(model.independent)) if term.form != "offset"]
     return np.array([k for k in friction if model.values[k] != 0], dtype=int)

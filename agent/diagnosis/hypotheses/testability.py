@@ -71,7 +71,7 @@ def not_testable(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey,
             elif not why and sizes[name, joints] > 1:
                 nominal = robot.nominal_torque[list(joints) if joints else slice(None)]
                 unit = "% of nominal torque" if np.isfinite(nominal).all() else "times the model's held-out error"
-                why = _why_small(effect, sizes[name, joints], dataset.given, unit)
+                why = _why_small(effect, sizes[name, joints], dataset.has_reference, unit)
             if why:
                 result.append(NotTestable(name, where, why))
     if dataset.servos is not None:
@@ -93,9 +93,9 @@ def effects_of_path() -> list[str]:
     return [name for name, effect in CATALOGUE.items() if effect.shows_in == "path"]
 
 
-def _why_small(effect: Effect, size: float, given: bool, unit: str) -> str:
+def _why_small(effect: Effect, size: float, has_reference: bool, unit: str) -> str:
     """`size` in practical sizes: the smallest that would be found."""
-    if not given:
+    if not has_reference:
         return "no model was given: the fit to these logs absorbs it"
     text = f"it would be found from {100 * size * effect.practical:.1f} {unit} on"
     if not size * effect.practical < 1:  # of nominal torque

@@ -81,7 +81,7 @@ def assemble_positions(
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
     sigma = np.broadcast_to(error, (len(time), n)).copy()
-    cell, folds, single = folds_of(time, log, logs)
+    cell, folds, segment_folds = folds_of(time, log, logs)
     usual = np.full(layout.size, USUAL_DELAY)
     usual[: len(model.values)] = np.abs(model.values) + _LEAST * np.abs(model.values).max()
     usual[layout.kp], usual[layout.bend] = given.kp, given.damping
@@ -92,9 +92,8 @@ def assemble_positions(
     block = segments_of(time, log, logs, LIMITS.block)
     rests = StandstillWhitening(tuple(() for _ in range(n)))
     precision = precision_of(covariance)
-    fit = Fit(
-        reference, signals, joined, index, sigma, precision, np.zeros(len(usual)), cell, block, folds, single, rests
-    )
+    nothing = np.zeros(len(usual))
+    fit = Fit(reference, signals, joined, index, sigma, precision, nothing, cell, block, folds, segment_folds, rests)
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))

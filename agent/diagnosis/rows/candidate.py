@@ -76,7 +76,7 @@ class Candidate:
 
     @property
     def transient(self) -> bool:
-        """Whether it happens once, so that no other log tells of it and it is judged by `single` folds."""
+        """Whether it happens once, so that no other log tells of it and it is judged by segments."""
         return self.effect.is_transient(self.settings)
 
     def release(self) -> None:

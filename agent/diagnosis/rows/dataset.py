@@ -37,13 +37,13 @@ class Dataset:
     """The fit, the raw residual of the model (S', n) [N·m], and where each row lies.
 
     time, log (S',): time in its log [s] and which log; speed (S', n) of the joints; rate, cutoff [Hz] of the rows and
-    of their filter; given: whether the model was given, or fitted to these very logs. Where positions are judged
-    instead of torque, `servos` has the parameters of the servos, and [N·m] above is rad or m.
+    of their filter; has_reference: whether the model is one of other data. Where positions are judged instead of
+    torque, `servos` has the parameters of the servos, and [N·m] above is rad or m.
     """
 
     robot: RobotDescription
     model: IdentifiedModel
-    given: bool
+    has_reference: bool
     fit: Fit
     residual: np.ndarray
     speed: np.ndarray
@@ -67,7 +67,7 @@ class Dataset:
         for a model of these logs.
         """
         error = np.zeros(self.robot.dof)
-        if not self.given or self.model.method == SIMULATOR:
+        if not self.has_reference or self.model.method == SIMULATOR:
             return error
         for joint, (rows, index) in enumerate(zip(self.fit.rows, self.fit.index, strict=True)):
             columns = rows[:, :-1] * self.fit.sigma[:, joint, None]
@@ -112,7 +112,7 @@ def assemble(
         InputError: a log or model of another robot, a log too short for the filter or without torque, or one with a
             known payload and no model.
     """
-    given = model is not None
+    has_reference = model is not None
     loads = [known_payload(log.metadata) for log in logs]
     if model is None and any(loads):
         raise InputError(
@@ -133,7 +133,7 @@ def assemble(
     n = robot.dof
     scale = reference.scale
     background = np.maximum(_moving_error(model), LIMITS.least_background * scale)
-    if not given:
+    if not has_reference:
         torque = np.concatenate([segment.torque for segment in observation.segments])
         background = expected_error(robot, torque, LIMITS.unknown_error)
     cutoff = observation.segments[0].motion.cutoff
@@ -160,16 +160,16 @@ def assemble(
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
     residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
-    cell, folds, single = folds_of(time, log, logs)
-    if given and not refitted:
+    cell, folds, segment_folds = folds_of(time, log, logs)
+    if has_reference and not refitted:
         precision, prior_information = precision_of(model.covariance), np.zeros(len(model.values))
     else:
         prior = physical_prior(observation, model.terms, _links(model))
         precision, prior_information = prior.precision, prior.precision @ (prior.mean - model.values)
     block = segments_of(time, log, logs, LIMITS.block)
-    fit = Fit(reference, signals, joined, index, sigma, precision, prior_information, cell, block, folds, single)
+    fit = Fit(reference, signals, joined, index, sigma, precision, prior_information, cell, block, folds, segment_folds)
     rate = 1 / float(np.median(np.diff(time)))
-    return Dataset(robot, model, given, fit, residual, speed, time, log, tuple(logs), rate, cutoff)
+    return Dataset(robot, model, has_reference, fit, residual, speed, time, log, tuple(logs), rate, cutoff)
 
 
 def _start_times(logs: Sequence[Log]) -> list[float]:

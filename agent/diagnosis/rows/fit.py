@@ -32,7 +32,7 @@ class Fit:
 
     rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over `sigma` (S', n);
     `cell` (S',) of every row (-1: guard); `block` (S',) segment of the motion, the same in all of its cycles; `folds`
-    for what repeats, `single_folds` for what happens once. `rests` are found where none are given.
+    for what repeats, `segment_folds` for what happens once. `rests` are found where none are given.
     """
 
     def __init__(
@@ -47,13 +47,13 @@ class Fit:
         cell: np.ndarray,
         block: np.ndarray,
         folds: Sequence[Fold],
-        single_folds: Sequence[Fold],
+        segment_folds: Sequence[Fold],
         rests: StandstillWhitening | None = None,
     ):
         self.reference, self.signals = reference, list(signals)
         self.rows, self.index = list(rows), list(index)
         self.sigma, self.precision, self.prior_information = sigma, precision, prior_information
-        self.cell, self.block, self.folds, self.single_folds = cell, block, list(folds), list(single_folds)
+        self.cell, self.block, self.folds, self.segment_folds = cell, block, list(folds), list(segment_folds)
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
@@ -89,8 +89,8 @@ class Fit:
         self._padded_information = np.zeros(size)
         self._padded_information[:base] = self.prior_information
         self._solved: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        self._left: dict[tuple[bool, int | None], np.ndarray] = {}
-        self._errors: dict[bool, float] = {}
+        self._held_out: dict[int | None, np.ndarray] = {}
+        self._error: float | None = None
         self._fitted: np.ndarray | None = None
 
     def ridge(self, candidate: Candidate, energy: np.ndarray) -> np.ndarray:
@@ -129,7 +129,7 @@ class Fit:
             self.cell,
             self.block,
             self.folds,
-            self.single_folds,
+            self.segment_folds,
             self.rests,
         )
 
@@ -173,14 +173,19 @@ class Fit:
         return np.split(self.sigma, self.cuts)
 
     @property
-    def given(self) -> bool:
-        """Whether the model comes from other data; a model fitted to the same data is drawn to its prior."""
+    def keeps_parameters(self) -> bool:
+        """Whether the model's parameters are drawn to what they are; of a model of these logs, to its prior."""
         return not np.any(self.prior_information)
 
     @property
     def transient(self) -> bool:
-        """Whether a chosen effect happens once, so that only `single_folds` can judge it."""
+        """Whether a chosen effect happens once, so that only `segment_folds` can judge it."""
         return any(c.transient for c in self.chosen)
+
+    @property
+    def test_folds(self) -> list[Fold]:
+        """Folds that judge the chosen effects: of motions, or of segments where one happens once."""
+        return self.segment_folds if self.transient else self.folds
 
     @property
     def near_rest(self) -> np.ndarray:
@@ -198,7 +203,7 @@ class Fit:
     @property
     def residuals_as_given(self) -> list[np.ndarray]:
         """The same, but a model of other data stays unchanged: a push is not spread over the whole motion."""
-        if not self.given:
+        if not self.keeps_parameters:
             return self.residuals
         parameters = self.solve(np.ones(self.cells, dtype=bool))[1].copy()
         parameters[: len(self.precision)] = 0
@@ -228,33 +233,33 @@ class Fit:
             self._solved[key] = inverse, inverse @ (total[:-1, -1] + self._padded_information)
         return self._solved[key]
 
-    def out_of_fold(self, single: bool = False, taken_out: int | None = None) -> np.ndarray:
+    def held_out(self, without: int | None = None) -> np.ndarray:
         """(S'total, n) [N·m] residual of every row under the fit that did not see it; NaN on guards.
 
-        `taken_out`: that one of the chosen effects is set to zero after the fit.
+        `without`: that one of the chosen effects is set to zero after the fit.
         """
-        if (single, taken_out) not in self._left:
+        if without not in self._held_out:
             ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
             result = np.full((len(self.cell), len(self.rows)), np.nan)
-            for fold in self.single_folds if single else self.folds:
+            for fold in self.test_folds:
                 parameters = self.solve(fold.train)[1].copy()
-                if taken_out is not None:
-                    parameters[ends[taken_out] : ends[taken_out + 1]] = 0
+                if without is not None:
+                    parameters[ends[without] : ends[without + 1]] = 0
                 test = np.isin(self.cell, np.flatnonzero(fold.test))
                 result[test] = self.remaining(parameters)[test]
             result.flags.writeable = False
-            self._left[single, taken_out] = result
-        return self._left[single, taken_out]
+            self._held_out[without] = result
+        return self._held_out[without]
 
-    def error(self, single: bool = False) -> float:
+    @property
+    def error(self) -> float:
         """Held-out Σ e² / σ² of model and chosen effects."""
-        if single not in self._errors:
-            total = 0.0
-            for fold in self.single_folds if single else self.folds:
+        if self._error is None:
+            self._error = 0.0
+            for fold in self.test_folds:
                 extended = np.append(self.solve(fold.train)[1], -1.0)
-                total += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
-            self._errors[single] = total
-        return self._errors[single]
+                self._error += float(extended @ self.gram[fold.test].sum(axis=0) @ extended)
+        return self._error
 
     @property
     def values(self) -> list[np.ndarray]:

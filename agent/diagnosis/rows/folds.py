@@ -20,14 +20,14 @@ def folds_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np
     cell = np.where(group >= 0, 2 * group + parity, -1)
     count = 2 * (int(group.max()) + 1)
     of_cell = np.arange(count) // 2
-    folds, single = [], []
+    folds, segment_folds = [], []
     for number, name in enumerate(names):
         test = of_cell == number
         folds.append(Fold(name, test, ~test))
         for side in (0, 1):
             half = test & (np.arange(count) % 2 == side)
-            single.append(Fold(name, half, ~half))
-    return cell, folds, single
+            segment_folds.append(Fold(name, half, ~half))
+    return cell, folds, segment_folds
 
 
 def _motions(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np.ndarray, list[str]]:

@@ -81,7 +81,7 @@ class Explanation:
         """The gap of the model as it was given."""
         if self.of_file:
             return held_out_gap(self.dataset, self.selected.fit)
-        return self.gap.unclosed if self.dataset.given and not self.selected.causes else self.gap
+        return self.gap.unclosed if self.dataset.has_reference and not self.selected.causes else self.gap
 
     @cached_property
     def steps(self) -> tuple[WaterfallStep, ...]:
@@ -239,7 +239,7 @@ def _exceeds_expected_error(dataset: Dataset, selected: SelectedCauses, gap: Hel
         return bool(dataset.fit.beyond_usual(gap.rmse_before).any())
     if _is_limit_cycle(dataset, selected, number):
         return True
-    without = rms(gap.beyond(selected.fit.out_of_fold(selected.fit.transient, number)))
+    without = rms(gap.beyond(selected.fit.held_out(without=number)))
     joints = list(selected.causes[number].joints) or slice(None)
     return bool(dataset.fit.beyond_usual(np.minimum(without, gap.rmse_before))[joints].any())
 

@@ -143,7 +143,7 @@ def _without(released: ReleasedSimulator, groups: Sequence[Group], causes: Seque
     """(S', n) held-out error where some groups stay as the file has them, and everything else is fitted again."""
     others = [group for group in released.groups if not any(group is kept for kept in groups)]
     fit = released_fit(released.given, others).with_chosen(causes)
-    return fit.out_of_fold(fit.transient)
+    return fit.held_out()
 
 
 def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candidate], gap: HeldOutGap) -> float | None:
@@ -153,7 +153,7 @@ def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candid
     of_arm = group.joint < 0 or group.moves_links
     joints = range(len(released.given.fit.rows)) if of_arm else (group.joint,)
     others = released_fit(released.given, [g for g in released.groups if g is not group]).with_chosen(causes)
-    return gap.closure_on(joints, others.out_of_fold(others.transient))
+    return gap.closure_on(joints, others.held_out())
 
 
 def _like_offset(
@@ -167,7 +167,7 @@ def _like_offset(
     loads = [entry for entry in load_groups(released.given) if (entry.kind, entry.joint) not in released.parts]
 
     def as_little(fit: Fit) -> bool:
-        error = rms(gap.beyond(fit.out_of_fold(fit.transient)))[joint]
+        error = rms(gap.beyond(fit.held_out()))[joint]
         return bool(error <= LIMITS.alike * gap.rmse_after[joint])
 
     fit = released_fit(released.given, others)
@@ -187,7 +187,7 @@ def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: 
     pool = [group for group in groups_of(released.given) if group.kind not in (GAIN, LINK)]
     pool = [group for group in pool if group.kind != OFFSET or (group.kind, group.joint) in known]
     fit = released_fit(released.given, stepwise_groups(released.given, pool, causes)).with_chosen(causes)
-    error = rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit
+    error = rms(gap.beyond(fit.held_out())) / gap.unit
     return bool((1 - LIMITS.least_share) * np.mean(error**2) <= np.mean(gap.after**2))
 
 

@@ -32,6 +32,6 @@ def verdict_on_positions(explanation: Explanation) -> Verdict:
         if errs[[names.index(name) for name in cause.joints or names]].any()
     ]
     file = released.given
-    left_open = rms(gap.beyond(released_fit(file, open_numbers(file)).out_of_fold()))
+    left_open = rms(gap.beyond(released_fit(file, open_numbers(file)).held_out()))
     beyond_chance = file.fit.beyond_chance(np.minimum(gap.rmse_before, left_open))
     return decide_by_position(effects, wrong_numbers, gap.closure, bool(beyond_chance.any()))

@@ -71,7 +71,7 @@ def release(
     least = LIMITS.least_gain * float(fit.count.sum())
     while pool:
         tried = [released_fit(dataset, [*chosen, group]).with_chosen(causes) for group in pool]
-        gains = [fit.error(fit.transient) - other.error(fit.transient) for other in tried]
+        gains = [fit.error - other.error for other in tried]
         if max(gains) < least:
             break
         best = next(k for k, gain in enumerate(gains) if gain >= (1 - LIMITS.least_share) * max(gains))
@@ -80,7 +80,7 @@ def release(
         for group in chosen[:-1]:  # what was taken for it before may be needed no more, as a link further out
             others = [other for other in chosen if other is not group]
             without = released_fit(dataset, others).with_chosen(causes)
-            if without.error(without.transient) - fit.error(fit.transient) < least:
+            if without.error - fit.error < least:
                 chosen, fit = others, without
     return _with_released(dataset, chosen)
 
@@ -141,7 +141,7 @@ def release_all(dataset: Dataset) -> ReleasedSimulator:
 
 def _with_released(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
     fit = released_fit(dataset, groups) if groups else dataset.fit
-    unexplained = fit.out_of_fold()
+    unexplained = fit.held_out()
     residual = np.where(np.isnan(unexplained), dataset.residual, unexplained)
     released = ReleasedSimulator(dataset, replace(dataset, fit=fit, residual=residual), tuple(groups))
     if not groups or dataset.servos is not None:  # positions are linear about numbers that were fitted already

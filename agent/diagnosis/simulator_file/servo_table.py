@@ -117,7 +117,7 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[Servo
     p, normal = len(dataset.held), float(ndtri((1 + LAW.certain) / 2))
     covariance = explanation.search.evidence.covariance(wide)
     spread = normal * _deviations(dataset, drives, covariance[:p, :p], free, form)
-    for folds in (wide.folds, wide.single_folds):
+    for folds in (wide.folds, wide.segment_folds):
         without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0]).table) for fold in folds]
         spread = np.maximum(spread, jackknife(np.stack(without)))
     delay = KINDS.index("delay")

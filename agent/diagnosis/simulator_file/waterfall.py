@@ -37,23 +37,23 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
         return ()
     names, dataset = released.given.robot.joint_names, released.given
     fits = [released_fit(dataset, released.groups[: k + 1]) for k in range(len(released.groups))]
-    alone = [released_fit(dataset, [group]).out_of_fold() for group in released.groups]
+    alone = [released_fit(dataset, [group]).held_out() for group in released.groups]
     texts = [group.text(names) for group in released.groups]
     plain, moved = dataset.fit, dataset.fit.with_chosen(selected.causes)
-    if not released.groups and dataset.given:  # a model fitted to the same logs has no own numbers to keep
+    if not released.groups and dataset.has_reference:  # a model fitted to the same logs has no own numbers to keep
         held = plain.with_prior(precision_of(_HELD * dataset.held))
         by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(selected.causes), moved))
         plain = held if by_both - by_effects >= LIMITS.least_share else plain
     last = fits[-1] if fits else plain
     for k, candidate in enumerate(selected.causes):
         fits.append(last.with_chosen(selected.causes[: k + 1]))
-        alone.append(plain.with_chosen((candidate,)).out_of_fold(candidate.transient))
+        alone.append(plain.with_chosen((candidate,)).held_out())
         texts.append(candidate.text(names))
     if plain is not dataset.fit:
         fits.append(moved)
-        alone.append(dataset.fit.out_of_fold())
+        alone.append(dataset.fit.held_out())
         texts.append(OWN_PARAMETERS)
-    stages = [fit.out_of_fold(fit.transient) for fit in fits]
+    stages = [fit.held_out() for fit in fits]
     errors = [gap.error_before, *(gap.beyond(stage) for stage in (*stages, *alone))]
     energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
     floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
@@ -84,7 +84,7 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
 
 
 def _absorbed(gap: HeldOutGap, fit: Fit) -> float:
-    return replace(gap, after=rms(gap.beyond(fit.out_of_fold(fit.transient))) / gap.unit).absorbed
+    return replace(gap, after=rms(gap.beyond(fit.held_out())) / gap.unit).absorbed
 
 
 def _energy(rows: np.ndarray, block: np.ndarray) -> np.ndarray:

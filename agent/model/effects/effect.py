@@ -60,7 +60,7 @@ class FitContext(Protocol):
         """Per motion (S', n) [N·m]: standard deviation of the noise."""
 
     @property
-    def given(self) -> bool:
+    def keeps_parameters(self) -> bool:
         """Whether the model was fitted to other data, so that an effect must exceed the noise."""
 
     def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

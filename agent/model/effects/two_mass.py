@@ -107,7 +107,7 @@ class TwoMass(Effect):
         best, gain = self._best(context, k, tried, columns)
         energy = _energy(context)[k]
         for factor in _NEIGHBOURS:
-            if gain < _PROMISING * energy * len(columns) or (context.given and energy <= 1):
+            if gain < _PROMISING * energy * len(columns) or (context.keeps_parameters and energy <= 1):
                 break
             neighbours = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
             best, gain = self._best(context, k, neighbours, on_joint(context, k, neighbours))
@@ -143,7 +143,7 @@ class TwoMass(Effect):
     def _starting_grid(self, context: FitContext, k: int) -> list[dict[str, float]]:
         inertia = _inertia(context, k)
         energy = _energy(context)
-        suspect = max(min(_SUSPECT, 0.5 * energy.max()), 1.0 if context.given else 0.0)
+        suspect = max(min(_SUSPECT, 0.5 * energy.max()), 1.0 if context.keeps_parameters else 0.0)
         grid = self.grid if energy[k] > suspect else self.few
         return [
             {"stiffness": inertia * (2 * np.pi * frequency) ** 2, "damping": damping, **({"gap": gap} if gap else {})}

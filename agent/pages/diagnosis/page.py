@@ -95,7 +95,7 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep], result
     logs, model = dataset.logs, f"{dataset.model.method}, {len(dataset.model.values)} parameters"
     asked = (
         "What does the robot have that the model lacks?"
-        if dataset.given
+        if dataset.has_reference
         else "What do these motions show that links and friction cannot explain?"
     )
     texts = summary(result)
@@ -110,7 +110,7 @@ def about_diagnosis(diagnosis: Diagnosis, next_steps: Sequence[NextStep], result
         *(("mass at the flange", f"{load} ({log.name})") for log, load in masses),
         ("recorded", _recorded(logs)),
         ("logs", str(len(logs))),
-        ("model", model if dataset.given else f"fitted to these logs: {model}"),
+        ("model", model if dataset.has_reference else f"fitted to these logs: {model}"),
         ("program", f"calibration-agent {package_version()}"),
     ]
     return About(asked, facts, [*measures(result), *next_steps], identity, picture)

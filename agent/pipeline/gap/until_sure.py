@@ -117,7 +117,7 @@ def _end(rounds: Rounds, remaining: float, console: Console) -> str:
         rounds.asked[-1] |= {"verdict": verdict, "causes": causes}
         console.say(f"round {len(rounds.asked)}: {verdict}")
     if verdict == "explained" or (verdict == "no_gap" and could_show(result)):
-        absorbed = verdict == "no_gap" and not rounds.last.diagnosis.dataset.given
+        absorbed = verdict == "no_gap" and not rounds.last.diagnosis.dataset.has_reference
         beyond = ". A model fitted to these logs can hide a gap: name an earlier model with --model"
         return f"settled: {verdict}{beyond if absorbed else ''}"
     if remaining < SHORTEST:

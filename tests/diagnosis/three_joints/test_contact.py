@@ -65,7 +65,7 @@ def best(arm, model, logs):
     def criterion(chosen):
         """Of Schwarz: what it leaves, and what its numbers cost."""
         (form,) = chosen.chosen
-        return chosen.error(single=True) + np.log(rows) * (CONTACT.counted(form.settings) + len(form.names))
+        return chosen.error + np.log(rows) * (CONTACT.counted(form.settings) + len(form.names))
 
     found = min(fits, key=criterion)
     (form,), (values,) = found.chosen, found.values

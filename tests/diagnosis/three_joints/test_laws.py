@@ -53,7 +53,7 @@ def left(arm, model, healthy) -> Callable[[str, Law], float]:
             evidence.pool.add(fit.candidates(finer))
             best = _best(evidence)
         background = float(fit.count.sum()) / len(fit.rows)  # of one joint
-        return (fit.with_chosen([best]).error() - 3 * background) / (fit.error() - 3 * background)
+        return (fit.with_chosen([best]).error - 3 * background) / (fit.error - 3 * background)
 
     return measure
 
