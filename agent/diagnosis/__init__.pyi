@@ -32,7 +32,7 @@ from .limits import LIMITS as LIMITS
 from .position_logs.separation import separations as separations
 from .position_logs.workflow import without_torque as without_torque
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
-from .rows.candidate import Candidate as Candidate, HypothesisKey as HypothesisKey
+from .rows.candidate import Candidate as Candidate, EffectKey as EffectKey
 from .rows.dataset import Dataset as Dataset
 from .rows.fit import Fit as Fit
 from .rows.needs import MotionCoverage as MotionCoverage

@@ -10,7 +10,7 @@ SCHEMA = "diagnosis/1"
 
 
 @dataclass(frozen=True)
-class EffectPlace:
+class NamedEffect:
     """An effect somewhere; `joints` is empty for one of the whole arm or base."""
 
     effect: str
@@ -28,7 +28,7 @@ class Cause:
     closure: float | None
     probability: float
     parameters: Mapping[str, float]
-    equivalent_to: tuple[EffectPlace, ...] = ()
+    equivalent_to: tuple[NamedEffect, ...] = ()
     closure_of_joints: float | None = None
     slides: bool = False
 

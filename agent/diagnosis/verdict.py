@@ -21,7 +21,7 @@ from math import isfinite
 
 import numpy as np
 
-from agent.diagnosis.document import Cause, EffectPlace
+from agent.diagnosis.document import Cause, NamedEffect
 from agent.diagnosis.gap.adequacy import closed_alone, exceeds, explained_part, main_joint, shortfalls
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.law import LAW
@@ -217,7 +217,7 @@ def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tu
             candidate.effect.reported(
                 fit.reference, _floats(candidate.settings.items()), _floats(zip(candidate.names, values, strict=True))
             ),
-            tuple(EffectPlace(name, tuple(joints[j] for j in there)) for name, there in rivals),
+            tuple(NamedEffect(name, tuple(joints[j] for j in there)) for name, there in rivals),
             _closure_on_own(selected, gap, number, without),
         )
         for number, (candidate, without, values, rivals, probability) in enumerate(parts)

@@ -8,7 +8,7 @@ from itertools import combinations, islice
 
 import numpy as np
 
-from agent.diagnosis import Candidate, Diagnosis, HypothesisKey
+from agent.diagnosis import Candidate, Diagnosis, EffectKey
 from agent.model import CATALOGUE
 
 _MOST_ASKED = 8  # pairs where no effect explains the gap, and effects that are not tested where nothing else is open
@@ -23,7 +23,7 @@ class Side:
     form: Candidate | None
     values: np.ndarray
 
-    def key(self, joint_names: Sequence[str]) -> HypothesisKey:
+    def key(self, joint_names: Sequence[str]) -> EffectKey:
         """Effect and joints from 0."""
         return self.effect, tuple(joint_names.index(name) for name in self.joints)
 
@@ -70,7 +70,7 @@ def _rivals(diagnosis: Diagnosis) -> Iterator[OpenPair]:
             yield OpenPair(first, second, shared)
 
 
-def _leading_form(diagnosis: Diagnosis, key: HypothesisKey) -> Candidate | None:
+def _leading_form(diagnosis: Diagnosis, key: EffectKey) -> Candidate | None:
     """The form of an effect in the likeliest hypothesis that has it."""
     forms = (c for hypothesis in diagnosis.selected.hypotheses for c in hypothesis.effects if c.key == key)
     return next(forms, None)
@@ -91,12 +91,13 @@ def _leading(diagnosis: Diagnosis) -> Iterator[OpenPair]:
 
 
 def _untested(diagnosis: Diagnosis) -> Iterator[OpenPair]:
-    fit, names = diagnosis.dataset.fit, diagnosis.dataset.robot.joint_names
+    fit, robot = diagnosis.dataset.fit, diagnosis.dataset.robot
+    names = robot.joint_names
     nothing = Side("none", (), None, np.empty(0))
     for entry in diagnosis.document.not_testable:
         effect = CATALOGUE[entry.effect]
         joints = () if entry.joint is None else tuple(names.index(name) for name in entry.joint.split(", "))
-        if effect.transient or effect.shows_in != "torque" or joints not in effect.places(diagnosis.dataset.robot):
+        if effect.transient or effect.shows_in != "torque" or joints not in effect.possible_joints(robot):
             continue
         if not (settings := effect.settings(fit, joints)):
             continue

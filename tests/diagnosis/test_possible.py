@@ -25,7 +25,7 @@ def level(reference: NominalModel, form: str) -> float:
 
 def possible(reference, name, settings, values) -> bool:
     effect = CATALOGUE[name]
-    joints = effect.places(reference.robot)[1 if effect.scope == "joint" else 0]
+    joints = effect.possible_joints(reference.robot)[1 if effect.scope == "joint" else 0]
     return effect.plausible(settings, values) and effect.possible(reference, joints, settings, values)
 
 

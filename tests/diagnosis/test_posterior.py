@@ -21,28 +21,34 @@ OFFSET, SPRING, HOSE, ASYMMETRIC = (
 RIPPLE, ELSEWHERE, PAYLOAD = ("torque_ripple", (0,)), ("torque_ripple", (1,)), ("payload", ())
 
 
-def log_prior(places, free) -> float:
-    count = len(places) + len(free)
+def log_prior(effect_keys, free) -> float:
+    count = len(effect_keys) + len(free)
     if not count:
         return 0.0
-    effects = [(1 - LAW.rare) / len(CATALOGUE) / (JOINTS if joints else 1) for _, joints in places]
+    effects = [(1 - LAW.rare) / len(CATALOGUE) / (JOINTS if joints else 1) for _, joints in effect_keys]
     return np.log(LAW.rare ** (count - 1) * np.prod([*effects, *[LAW.rare / JOINTS] * len(free)]))
 
 
-def hypothesis(share, *places, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0, apart=None):
-    told = {"share": share, "places": places, "largest": torque[: len(places)], "left": left, "free": free}
+def hypothesis(share, *effect_keys, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0, apart=None):
+    told = {
+        "share": share,
+        "effect_keys": effect_keys,
+        "largest": torque[: len(effect_keys)],
+        "left": left,
+        "free": free,
+    }
     return SimpleNamespace(**told, scale=scale, apart=apart)
 
 
 def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
     """Evidence and hypotheses that have these probabilities after the data; `left` is over that of nothing."""
-    places = list(dict.fromkeys(place for one in told for place in one.places))
-    candidates = [SimpleNamespace(key=place, joints=place[1], effect=CATALOGUE[place[0]]) for place in places]
+    effect_keys = list(dict.fromkeys(place for one in told for place in one.effect_keys))
+    candidates = [SimpleNamespace(key=place, joints=place[1], effect=CATALOGUE[place[0]]) for place in effect_keys]
     found = [
         SimpleNamespace(
-            effects=tuple(places.index(place) for place in one.places),
+            effects=tuple(effect_keys.index(place) for place in one.effect_keys),
             free=dict.fromkeys(one.free, 0.1),
-            log_evidence=1000 + np.log(one.share) - log_prior(one.places, one.free) - observed(one),
+            log_evidence=1000 + np.log(one.share) - log_prior(one.effect_keys, one.free) - observed(one),
             largest=one.largest,
             unexplained=np.array([0.5e-3, 1.5e-3]) * one.left,
             scales=np.array([0.5, one.scale]),
@@ -63,7 +69,7 @@ def decided(*told, **more):
     return name_causes(compare(fit, *evaluated(*told, **more)))
 
 
-@pytest.mark.parametrize("observed", [lambda one: 0.0, lambda one: -3.0 * len(one.places) - 1])
+@pytest.mark.parametrize("observed", [lambda one: 0.0, lambda one: -3.0 * len(one.effect_keys) - 1])
 def test_probability_is_evidence_times_prior(observed):
     told = [
         *(hypothesis(0.1, left=2.0, scale=4.0), hypothesis(0.3, OFFSET, left=0.5), hypothesis(0.25, PAYLOAD)),
@@ -74,11 +80,11 @@ def test_probability_is_evidence_times_prior(observed):
     assert [one.probability for one in seen] == pytest.approx([0.3, 0.25, 0.2, 0.1, 0.1, 0.05])
     assert seen == sorted(seen, key=lambda one: -round(one.probability, 6))
     for one in seen:
-        prior = log_prior(one.places, one.free) - log_prior((), ())
+        prior = log_prior(one.effect_keys, one.free) - log_prior((), ())
         assert one.log_bayes_factor == pytest.approx(np.log(one.probability / 0.1) - prior)
     plain, offset = seen[3], seen[0]
     assert (plain.explained_share, plain.scale, offset.explained_share, offset.scale) == (0.0, 4.0, 0.75, 1.0)
-    assert (offset.places, offset.torque, seen[-1].free) == ((OFFSET,), (0.1,), (0, 2))
+    assert (offset.effect_keys, offset.torque, seen[-1].free) == ((OFFSET,), (0.1,), (0, 2))
 
 
 def test_of_equals_the_one_with_fewer_forms_leads():
@@ -98,7 +104,7 @@ def test_the_likeliest_statement_leads_though_a_hypothesis_of_another_is_likelie
     ]
 
     def observed(one) -> float:
-        return -3.0 * len(one.places) - 1
+        return -3.0 * len(one.effect_keys) - 1
 
     evidence, found = evaluated(*told, observed=observed)
     given = {id(evidence): observed}
@@ -204,8 +210,8 @@ def test_a_hundred_hypotheses_are_kept_and_that_of_nothing():
     many = [hypothesis(0.009 - 1e-5 * k, ("torque_ripple", (k,))) for k in range(101)]
     found = decided(hypothesis(0.005, left=1.0, scale=9.0), *many, hypothesis(0.9, OFFSET))
     assert len(found.hypotheses) == 101
-    assert [one.places for one in found.hypotheses[:2]] == [(OFFSET,), (("torque_ripple", (0,)),)]
-    assert found.hypotheses[-1].places == ()
+    assert [one.effect_keys for one in found.hypotheses[:2]] == [(OFFSET,), (("torque_ripple", (0,)),)]
+    assert found.hypotheses[-1].effect_keys == ()
     assert len(decided(hypothesis(0.1, left=1.0), hypothesis(0.9, OFFSET)).hypotheses) == 2
 
 
@@ -215,7 +221,7 @@ def test_a_healthy_arm_may_have_more_than_usual_of_what_it_has_already(times, li
     size = 0.01 * times
     evidence, found = evaluated(hypothesis(0.01, left=1.0), hypothesis(0.99, OFFSET, torque=(size,)))
     evidence.usual = {OFFSET: 0.01}
-    shares = {one.places: one for one in posterior(evidence, found)}[OFFSET,].shares
+    shares = {one.effect_keys: one for one in posterior(evidence, found)}[OFFSET,].shares
     tail = stats.t.pdf(size, LAW.nu, scale=0.01 * np.sqrt(1 - 2 / LAW.nu)) - stats.norm.pdf(size, scale=0.01)
     odds = max(tail, 0) / stats.norm.pdf(size, scale=size) * np.exp(log_prior((), ()) - log_prior((OFFSET,), ()))
     assert shares.get(frozenset(), 0.0) == pytest.approx(odds * shares[frozenset({OFFSET})])

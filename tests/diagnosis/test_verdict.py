@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 
 from agent.diagnosis import verdict as rules
 from agent.diagnosis.diagnosis import next_experiment
-from agent.diagnosis.document import Cause, DiagnosisResult, EffectPlace, JointShare, PathGap, TorqueGap
+from agent.diagnosis.document import Cause, DiagnosisResult, JointShare, NamedEffect, PathGap, TorqueGap
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
 from agent.diagnosis.limits import LIMITS
@@ -28,7 +28,7 @@ causes = st.builds(
     closure=closures,
     probability=st.floats(0.5, 1),
     parameters=st.dictionaries(st.sampled_from("ab"), st.sampled_from([0.0, 1.0, np.nan, np.inf]), max_size=2),
-    equivalent_to=st.sampled_from([(), (EffectPlace("presliding", ("joint_2",)),)]),
+    equivalent_to=st.sampled_from([(), (NamedEffect("presliding", ("joint_2",)),)]),
     closure_of_joints=closures,
 )
 several = st.lists(causes, max_size=3).map(tuple)
@@ -138,7 +138,7 @@ def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_rep
     dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=("a", "b", "c")))
     rivals = ((("payload", ()), ("dress_pack", (1, 2))), ())
     selected = SimpleNamespace(fit=fit, causes=(stribeck, load), rivals=rivals, probability=(0.8, 0.7))
-    equal = EffectPlace("payload", ()), EffectPlace("dress_pack", ("b", "c"))
+    equal = NamedEffect("payload", ()), NamedEffect("dress_pack", ("b", "c"))
     with patch.object(rules, "main_joint", lambda fit, gap, joints, left: list(joints)[-1]):
         told = causes_of(dataset, selected, gap)  # type: ignore[arg-type]
         for causes, own in (
@@ -235,7 +235,7 @@ def test_every_search_result_gives_an_answer_that_meets_the_contract(found, clos
         return SimpleNamespace(closure=closings[min(len(fit.chosen), len(closings) - 1)])
 
     def told(dataset, selected, gap):
-        there = [tuple(EffectPlace(name, ("joint_2",)) for name, _ in rivals) for rivals in selected.rivals]
+        there = [tuple(NamedEffect(name, ("joint_2",)) for name, _ in rivals) for rivals in selected.rivals]
         of = zip((c.cause for c in selected.causes), there, strict=True)
         return tuple(replace(cause, equivalent_to=equal, closure_of_joints=None) for cause, equal in of)
 
@@ -279,7 +279,7 @@ def test_causes_that_close_too_little_are_named_with_the_runner_up():
     cause = Cause("torque_offset", ("joint_1",), 0.5, 0.9, {"offset": 1.0})
 
     def told(dataset, selected, gap):
-        there = [tuple(EffectPlace(name, ("joint_1",)) for name, _ in rivals) for rivals in selected.rivals]
+        there = [tuple(NamedEffect(name, ("joint_1",)) for name, _ in rivals) for rivals in selected.rivals]
         return tuple(replace(cause, equivalent_to=rivals) for rivals in there)
 
     for closure, verdict in ((0.9, "explained"), (0.75, "explained"), (0.5, "ambiguous"), (0.01, "ambiguous")):

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from agent.core import Console, InputError
 from agent.diagnosis import diagnose, extended_model, ranges, ranges_text, supported_correction
 from agent.diagnosis.corrected_simulator import held_out_errors
-from agent.diagnosis.document import Cause, EffectPlace
+from agent.diagnosis.document import Cause, NamedEffect
 from agent.diagnosis.forward import windows as forward_windows
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.simulator_file.explanation import _NUMBERS, _possible, with_expected_error
@@ -86,7 +86,7 @@ def test_what_closes_most_of_the_gap_comes_first():
     verdict = with_numbers(Verdict("explained", (small,), 0.9), (small,), numbers)
     assert [cause.effect for cause in verdict.causes] == ["friction_change", "presliding"]
     assert verdict.name == "explained"
-    rivalled = replace(numbers[0], equivalent_to=(EffectPlace("torque_constant", ("lift",)),))
+    rivalled = replace(numbers[0], equivalent_to=(NamedEffect("torque_constant", ("lift",)),))
     assert with_numbers(Verdict("explained", (small,), 0.9), (small,), (rivalled,)).name == "ambiguous"
 
 

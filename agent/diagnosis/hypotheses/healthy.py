@@ -18,7 +18,7 @@ from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.noise_model import Healthy, HealthyForm
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
+from agent.diagnosis.rows.candidate import Candidate, EffectKey
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE, HealthyEffect, IdentifiedModel
@@ -47,11 +47,11 @@ def with_healthy_effects(
         baseline = _halves(baseline[0])
     learned = [_judged(model, held_out)] if held_out else []
     learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
-    largest: dict[HypothesisKey, tuple[float, list[HealthyEffect]]] = {}
+    largest: dict[EffectKey, tuple[float, list[HealthyEffect]]] = {}
     for _, forms, shown in learned:
-        for place, (size, entries) in _effects(forms, shown, model.robot.joint_names).items():
-            if size >= largest.get(place, (0.0, []))[0]:
-                largest[place] = size, entries
+        for key, (size, entries) in _effects(forms, shown, model.robot.joint_names).items():
+            if size >= largest.get(key, (0.0, []))[0]:
+                largest[key] = size, entries
     healthy = [entry for _, entries in largest.values() for entry in entries]
     sliding = np.max([error for error, *_ in learned], axis=0) if learned else None
     healthy = [replace(entry, value={}) if alone else entry for entry in healthy]
@@ -160,7 +160,7 @@ def _shown(fit: Fit, parts: Sequence[tuple[Fit, slice]]) -> tuple[Sequence[Candi
 
 def _effects(
     forms: Sequence[Candidate], shown: Sequence[_Shown], names: Sequence[str]
-) -> dict[HypothesisKey, tuple[float, list[HealthyEffect]]]:
+) -> dict[EffectKey, tuple[float, list[HealthyEffect]]]:
     """Per hypothesis the explained torque over nominal, and one entry for the best form of each kind.
 
     The torque is the mean square over n - 2 of n logs, each explained by its best form: the variance of Student's
@@ -169,40 +169,40 @@ def _effects(
     its logs would have shown.
     """
     total = np.sum([of_log.gains for of_log in shown], axis=0)
-    places: dict[HypothesisKey, list[int]] = {}
+    numbers_of: dict[EffectKey, list[int]] = {}
     for number in np.argsort(-total).tolist():
         if not forms[number].transient:
-            places.setdefault(forms[number].key, []).append(number)
-    sizes, known = dict[HypothesisKey, float](), set[int]()
-    for place, numbers in places.items():
+            numbers_of.setdefault(forms[number].key, []).append(number)
+    sizes, known = dict[EffectKey, float](), set[int]()
+    for key, numbers in numbers_of.items():
         best = [(of_log, max(numbers, key=lambda k: of_log.gains[k])) for of_log in shown]
         squares = [of_log.torque[k] ** 2 for of_log, k in best if of_log.gains[k] > 0]
-        sizes[place] = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
+        sizes[key] = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
         known.update(numbers[:1] if squares and total[numbers[0]] > 0 else [])
 
-    def hidden(place: HypothesisKey) -> float:
-        return min(float(of_log.hidden[places[place]].min()) for of_log in shown)
+    def hidden(key: EffectKey) -> float:
+        return min(float(of_log.hidden[numbers_of[key]].min()) for of_log in shown)
 
     effects = {}
-    for place, numbers in places.items():
-        size = sizes[place]
-        if not size and (size := _of_the_arm(place[0], sizes, hidden)):
-            size = min(size, hidden(place))
+    for key, numbers in numbers_of.items():
+        size = sizes[key]
+        if not size and (size := _of_the_arm(key[0], sizes, hidden)):
+            size = min(size, hidden(key))
         kinds = {tuple(sorted(forms[k].settings)): k for k in reversed(numbers)}.values()
         if size > 0:
-            effects[place] = size, [_entry(forms[k], k, shown, size, names, k in known) for k in kinds]
+            effects[key] = size, [_entry(forms[k], k, shown, size, names, k in known) for k in kinds]
     return effects
 
 
-def _of_the_arm(name: str, sizes: Mapping[HypothesisKey, float], hidden: Callable[[HypothesisKey], float]) -> float:
+def _of_the_arm(name: str, sizes: Mapping[EffectKey, float], hidden: Callable[[EffectKey], float]) -> float:
     """The median size of an effect over the joints.
 
     Of an effect that every arm has a little of, a joint that shows nothing counts only if its logs would have shown the
     largest: what it has is not known otherwise.
     """
-    own = {place: size for place, size in sizes.items() if place[0] == name}
+    own = {key: size for key, size in sizes.items() if key[0] == name}
     largest, usual = max(own.values()), CATALOGUE[name].usual
-    known = [size for place, size in own.items() if size or not usual or hidden(place) < largest]
+    known = [size for key, size in own.items() if size or not usual or hidden(key) < largest]
     return median_low(known) if largest else 0.0
 
 
@@ -230,10 +230,10 @@ def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) 
     """
     if not model.healthy:
         return None
-    places = list(model.robot.joint_names)
-    known = [e for e in model.healthy if e.effect in CATALOGUE and e.effect not in without and {*e.joints} <= {*places}]
+    names = list(model.robot.joint_names)
+    known = [e for e in model.healthy if e.effect in CATALOGUE and e.effect not in without and {*e.joints} <= {*names}]
     forms = fit.candidates(
-        [(CATALOGUE[e.effect], tuple(map(places.index, e.joints)), e.settings) for e in known], rough=True
+        [(CATALOGUE[e.effect], tuple(map(names.index, e.joints)), e.settings) for e in known], rough=True
     )
     healthy = []
     for entry, form in zip(known, forms, strict=True):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis.hypotheses.noise_model import NoiseModel
-from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
+from agent.diagnosis.rows.candidate import Candidate, EffectKey
 
 _AT_ONCE = 64  # numerical: candidates whose own moments are worked out together
 
@@ -97,9 +97,9 @@ class CandidatePool:
         known = {id(self.candidate(k)): k for k in range(self.size)}
         return [known[id(form)] for form in forms]
 
-    def kinds(self, place: HypothesisKey) -> int:
+    def kinds(self, key: EffectKey) -> int:
         """How many kinds of forms there are of an effect on its joints."""
-        return len({tuple(sorted(c.settings)) for block in self.blocks for c in block.candidates if c.key == place})
+        return len({tuple(sorted(c.settings)) for block in self.blocks for c in block.candidates if c.key == key})
 
     def rms(self, number: int) -> np.ndarray:
         """(k,) torque of each column of a candidate over nominal, root mean square, on the joint with most."""

@@ -22,7 +22,7 @@ from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.score import EvaluatedHypothesis
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses, share_joints
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.candidate import HypothesisKey
+from agent.diagnosis.rows.candidate import EffectKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 
@@ -50,11 +50,11 @@ def compare(
     faults, free = max(statements, key=lambda names: round(statements[names], 2))  # first: fewest forms
     leader = max(hypotheses, key=lambda h: _shares(h).get((faults, free), 0.0))
     plain = next(h for h in hypotheses if not h.effects and not h.free)
-    size = dict(zip(leader.places, leader.torque, strict=True))
-    places = sorted(faults, key=lambda place: (-size[place], place))
-    causes = tuple(next(c for c in leader.effects if c.key == place) for place in places)
-    equal = [_equal_by_definition(place, leader, hypotheses) for place in places]
-    classes = [_class_of(place, faults, statements, names) for place, names in zip(places, equal, strict=True)]
+    size = dict(zip(leader.effect_keys, leader.torque, strict=True))
+    effect_keys = sorted(faults, key=lambda key: (-size[key], key))
+    causes = tuple(next(c for c in leader.effects if c.key == key) for key in effect_keys)
+    equal = [_equal_by_definition(key, leader, hypotheses) for key in effect_keys]
+    classes = [_class_of(key, faults, statements, names) for key, names in zip(effect_keys, equal, strict=True)]
     return SelectedCauses(
         fit,
         fit.with_chosen(causes) if causes else fit,
@@ -100,21 +100,21 @@ def posterior(
         for e, factor, each in zip(found, log - alone, weights, strict=True)
     ]
     # of equals the effect that has fewer forms to choose from
-    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.places))))
+    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.effect_keys))))
 
 
-def _priors(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> dict[frozenset[HypothesisKey], float]:
+def _priors(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> dict[frozenset[EffectKey], float]:
     """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
     priors = {}
-    places = [evidence.pool.candidate(k).key for k in hypothesis.effects]
-    sizes = zip(places, hypothesis.largest, strict=True)
+    effect_keys = [evidence.pool.candidate(k).key for k in hypothesis.effects]
+    sizes = zip(effect_keys, hypothesis.largest, strict=True)
     healthy = [
-        _log_healthy(size, evidence.usual.get(place), evidence.distance_from_baseline(hypothesis, k))
-        for k, (place, size) in enumerate(sizes)
+        _log_healthy(size, evidence.usual.get(key), evidence.distance_from_baseline(hypothesis, k))
+        for k, (key, size) in enumerate(sizes)
     ]
     each = float(np.log((1 - LAW.rare) / len(CATALOGUE)))
-    for faulty in product((True, False), repeat=len(places)):
-        faults = frozenset(compress(places, faulty))
+    for faulty in product((True, False), repeat=len(effect_keys)):
+        faults = frozenset(compress(effect_keys, faulty))
         log = sum(h for h, fault in zip(healthy, faulty, strict=True) if not fault)
         log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in sorted(faults))
         log += len(hypothesis.free) * np.log(LAW.rare / evidence.joints)
@@ -150,12 +150,12 @@ def _student(x: float, nu: float) -> float:
 
 
 #: Effects that are faults and large enough to matter, and joints with something else.
-Statement = tuple[frozenset[HypothesisKey], frozenset[int]]
+Statement = tuple[frozenset[EffectKey], frozenset[int]]
 
 
 def _shares(hypothesis: Hypothesis) -> dict[Statement, float]:
     """Probability of a hypothesis by statement."""
-    large = {p for p, torque in zip(hypothesis.places, hypothesis.torque, strict=True) if torque >= LAW.practical}
+    large = {p for p, torque in zip(hypothesis.effect_keys, hypothesis.torque, strict=True) if torque >= LAW.practical}
     shares: dict[Statement, float] = {}
     for faults, share in hypothesis.shares.items():
         statement = faults & large, frozenset(hypothesis.free)
@@ -172,34 +172,32 @@ def _statements(hypotheses: Sequence[Hypothesis]) -> dict[Statement, float]:
     return statements
 
 
-def _equal_by_definition(
-    place: HypothesisKey, leader: Hypothesis, hypotheses: Sequence[Hypothesis]
-) -> tuple[HypothesisKey, ...]:
+def _equal_by_definition(key: EffectKey, leader: Hypothesis, hypotheses: Sequence[Hypothesis]) -> tuple[EffectKey, ...]:
     """Hypotheses that equal a cause by definition unless the logs show otherwise, and explain about as much."""
-    known = CATALOGUE[place[0]].structurally_equivalent
+    known = CATALOGUE[key[0]].structurally_equivalent
     as_much = (1 - LIMITS.negligible) * leader.log_bayes_factor
     equal = {
         other: None
         for hypothesis in hypotheses
-        if hypothesis.log_bayes_factor >= as_much and place not in hypothesis.places
-        for other in hypothesis.places
-        if other[0] in known and share_joints(place, other)
+        if hypothesis.log_bayes_factor >= as_much and key not in hypothesis.effect_keys
+        for other in hypothesis.effect_keys
+        if other[0] in known and share_joints(key, other)
     }
     return tuple(equal)
 
 
 def _class_of(
-    place: HypothesisKey,
-    faults: frozenset[HypothesisKey],
+    key: EffectKey,
+    faults: frozenset[EffectKey],
     statements: Mapping[Statement, float],
-    equal: tuple[HypothesisKey, ...],
-) -> tuple[tuple[HypothesisKey, ...], float]:
+    equal: tuple[EffectKey, ...],
+) -> tuple[tuple[EffectKey, ...], float]:
     """Hypotheses that these motions do not distinguish from a cause, and the probability of any of them."""
-    own = sum(share for (places, _), share in statements.items() if place in places)
-    instead: dict[HypothesisKey, float] = {}
-    for (places, _), share in statements.items():
-        for other in sorted(places - faults) if place not in places else ():
+    own = sum(share for (effect_keys, _), share in statements.items() if key in effect_keys)
+    instead: dict[EffectKey, float] = {}
+    for (effect_keys, _), share in statements.items():
+        for other in sorted(effect_keys - faults) if key not in effect_keys else ():
             instead[other] = instead.get(other, 0.0) + share
-    likely = [other for other, share in instead.items() if share >= LAW.rare * own and share_joints(place, other)]
+    likely = [other for other, share in instead.items() if share >= LAW.rare * own and share_joints(key, other)]
     alike = list(dict.fromkeys([*sorted(likely, key=lambda other: -instead[other]), *equal]))[:_RIVALS]
     return tuple(alike), LAW.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))

@@ -30,7 +30,7 @@ from agent.diagnosis.hypotheses.joint_moments import JointMoments, NoiseRoot, re
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidatePool
-from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
+from agent.diagnosis.rows.candidate import Candidate, EffectKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 from agent.simulators import SIMULATOR
@@ -88,7 +88,7 @@ class Score:
     ):
         self.law, self.joints, self.reference = law, len(fit.rows), fit.reference
         self.noise = noise = NoiseModel(fit, candidates, healthy, law)
-        self.usual: dict[HypothesisKey, float] = {}
+        self.usual: dict[EffectKey, float] = {}
         for effect in healthy or ():
             size = noise.torque_of(effect.candidate, effect.amount)
             self.usual[effect.candidate.key] = max(size, self.usual.get(effect.candidate.key, 0.0))

@@ -12,7 +12,7 @@ from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.posterior import Observed, compare
 from agent.diagnosis.hypotheses.score import EvaluatedHypothesis
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
-from agent.diagnosis.rows.candidate import TOGETHER, Candidate, HypothesisKey, Wanted
+from agent.diagnosis.rows.candidate import TOGETHER, Candidate, EffectKey, Wanted
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.needs import MotionCoverage
 from agent.model import CATALOGUE
@@ -23,7 +23,7 @@ _FORMS = 3  # numerical: parameterisations per hypothesis
 _EXTENDED = (3, 2)  # numerical: hypotheses that one more effect is tried with, by how many they have
 _FACTORS = (1.25, 1.1, 1.04, 1.015)  # numerical: of nonlinear parameters, up and down
 
-Key = tuple[frozenset[HypothesisKey], frozenset[int]]
+HypothesisKey = tuple[frozenset[EffectKey], frozenset[int]]
 
 
 class Search:
@@ -50,23 +50,23 @@ class Search:
         fit: Fit,
         without: Sequence[str] = (),
         progress: Callable[[str], None] = lambda text: None,
-        only: Collection[HypothesisKey] | None = None,
+        only: Collection[EffectKey] | None = None,
         observed: Observed | None = None,
         healthy: Healthy | None = None,
     ):
         self.fit, self._progress, self._observed, self._healthy = fit, progress, observed, healthy
         self._ignored, self.allowed = without, {name for name in CATALOGUE if name not in without}
         self.coverage = MotionCoverage.of(fit.signals)
-        self._places = [
+        self._effects_on_joints = [
             (effect, joints)
             for effect in CATALOGUE.values()
             if effect.shows_in == "torque" and effect.name in self.allowed
-            for joints in effect.places(fit.reference.robot)
+            for joints in effect.possible_joints(fit.reference.robot)
             if (only is None or (effect.name, joints) in only) and not self.coverage.lacking(effect, joints)
         ]
         self._known: set[Candidate] = set()
-        self._found: dict[Key, EvaluatedHypothesis] = {}
-        self._tried: set[Key] = set()
+        self._found: dict[HypothesisKey, EvaluatedHypothesis] = {}
+        self._tried: set[HypothesisKey] = set()
 
     def run(self) -> SelectedCauses:
         """Evaluate the promising hypotheses, and compare them."""
@@ -116,7 +116,7 @@ class Search:
         return bool(new)
 
     @staticmethod
-    def _key(forms: Iterable[Candidate], free: Iterable[int]) -> Key:
+    def _key(forms: Iterable[Candidate], free: Iterable[int]) -> HypothesisKey:
         return frozenset(form.key for form in forms), frozenset(free)
 
     def forms(self) -> Iterator[list[Candidate]]:
@@ -126,7 +126,7 @@ class Search:
 
     def _grid(self) -> list[Wanted]:
         wanted: list[Wanted] = [
-            (effect, joints, s) for effect, joints in self._places for s in effect.settings(self.fit, joints)
+            (effect, joints, s) for effect, joints in self._effects_on_joints for s in effect.settings(self.fit, joints)
         ]
         self._progress(f"comparing {len(wanted)} forms of effects")
         return wanted
@@ -169,11 +169,11 @@ class Search:
         evidence = self.evidence
         if base.effects and leaves_more:
             fit = self.fit.with_chosen([evidence.pool.candidate(k) for k in base.effects])
-            driven = [(e, joints) for e, joints in self._places if e.residual_driven]
+            driven = [(e, joints) for e, joints in self._effects_on_joints if e.residual_driven]
             self._add(fit, [(e, joints, s) for e, joints in driven for s in e.settings(fit, joints)])
         gains, values = evidence.shortlist_gains(base)
         leading = self._promising(base, gains, values, _LEADERS)
-        best = {place: forms[0] for place, forms in leading.items()}
+        best = {key: forms[0] for key, forms in leading.items()}
         wanted = [
             (e.effect, e.joints, s) for e in map(evidence.pool.candidate, best.values())
             for s in e.effect.reversing(self.fit, e.joints, e.settings)
@@ -190,9 +190,9 @@ class Search:
                 continue
             gains, values = evidence.shortlist_gains(base)
             for k in range(before, evidence.pool.size):
-                place = evidence.pool.candidate(k).key
-                if place in best and gains[k] > gains[best[place]] and evidence.possible(k, values[k]):
-                    best[place] = k
+                key = evidence.pool.candidate(k).key
+                if key in best and gains[k] > gains[best[key]] and evidence.possible(k, values[k]):
+                    best[key] = k
         return gains, values
 
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
@@ -204,19 +204,19 @@ class Search:
 
     def _promising(
         self, base: EvaluatedHypothesis, gains: np.ndarray, values: Sequence[np.ndarray], count: int
-    ) -> dict[HypothesisKey, list[int]]:
+    ) -> dict[EffectKey, list[int]]:
         """The best admissible parameterisations of the effects with the largest gain."""
         evidence = self.evidence
         chosen = [evidence.pool.candidate(k) for k in base.effects]
-        places: dict[HypothesisKey, list[int]] = {}
+        forms_by_effect: dict[EffectKey, list[int]] = {}
         for k in np.argsort(-gains).tolist():
-            place = evidence.pool.candidate(k).key
-            forms = places.get(place, [])
-            if len(forms) >= _FORMS or (not forms and len(places) >= count):
+            key = evidence.pool.candidate(k).key
+            forms = forms_by_effect.get(key, [])
+            if len(forms) >= _FORMS or (not forms and len(forms_by_effect) >= count):
                 continue
             if not _duplicates_law(evidence.pool.candidate(k), chosen) and evidence.possible(k, values[k]):
-                places.setdefault(place, []).append(k)
-        return places
+                forms_by_effect.setdefault(key, []).append(k)
+        return forms_by_effect
 
     def _keep(self, evaluated: EvaluatedHypothesis) -> None:
         """Keep a hypothesis whose parameters can be true, in its best form."""

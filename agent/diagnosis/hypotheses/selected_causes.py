@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from agent.diagnosis.hypotheses.evidence import Evidence
-from agent.diagnosis.rows.candidate import Candidate, HypothesisKey
+from agent.diagnosis.rows.candidate import Candidate, EffectKey
 from agent.diagnosis.rows.fit import Fit
 
 
-def share_joints(place: HypothesisKey, other: HypothesisKey) -> bool:
+def share_joints(key: EffectKey, other: EffectKey) -> bool:
     """Whether two hypotheses have a joint in common, or one of them is on the whole arm."""
-    return not place[1] or not other[1] or not set(place[1]).isdisjoint(other[1])
+    return not key[1] or not other[1] or not set(key[1]).isdisjoint(other[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Hypothesis:
     effects: tuple[Candidate, ...]
     free: tuple[int, ...]
     log_bayes_factor: float
-    shares: Mapping[frozenset[HypothesisKey], float]
+    shares: Mapping[frozenset[EffectKey], float]
     torque: tuple[float, ...]
     explained_share: float
     scale: float
@@ -36,10 +36,10 @@ class Hypothesis:
     @property
     def probability(self) -> float:
         """The posterior probability that it is true, and all its effects are faults."""
-        return self.shares.get(frozenset(self.places), 0.0)
+        return self.shares.get(frozenset(self.effect_keys), 0.0)
 
     @property
-    def places(self) -> tuple[HypothesisKey, ...]:
+    def effect_keys(self) -> tuple[EffectKey, ...]:
         """Effects and joints."""
         return tuple(candidate.key for candidate in self.effects)
 
@@ -59,7 +59,7 @@ class SelectedCauses:
     plain: Fit
     fit: Fit
     causes: tuple[Candidate, ...]
-    rivals: tuple[tuple[HypothesisKey, ...], ...]
+    rivals: tuple[tuple[EffectKey, ...], ...]
     probability: tuple[float, ...]
     explained_share: float
     hypotheses: tuple[Hypothesis, ...]
@@ -68,7 +68,7 @@ class SelectedCauses:
     ignored: frozenset[str] = frozenset()
     leaves_gap: bool = False
     zero_known: bool = False
-    rejected: tuple[tuple[HypothesisKey, str], ...] = ()
+    rejected: tuple[tuple[EffectKey, str], ...] = ()
 
     @property
     def scale(self) -> float:
@@ -91,10 +91,10 @@ class SelectedCauses:
         if len(kept) == len(self.causes):
             return self
         causes = tuple(self.causes[k] for k in kept)
-        places = {cause.key for cause in causes}
-        by_themselves = next((h for h in self.hypotheses if not h.free and places == set(h.places)), None)
+        effect_keys = {cause.key for cause in causes}
+        by_themselves = next((h for h in self.hypotheses if not h.free and effect_keys == set(h.effect_keys)), None)
         if by_themselves is not None:
-            forms = dict(zip(by_themselves.places, by_themselves.effects, strict=True))
+            forms = dict(zip(by_themselves.effect_keys, by_themselves.effects, strict=True))
             causes = tuple(forms[cause.key] for cause in causes)
         return replace(
             self,
@@ -113,14 +113,14 @@ class SelectedCauses:
         new = tuple((cause.key, reason) for cause, reason in zip(self.causes, why, strict=True) if reason)
         return replace(self, rejected=(*self.rejected, *new))
 
-    def with_rival(self, number: int, place: HypothesisKey) -> SelectedCauses:
+    def with_rival(self, number: int, key: EffectKey) -> SelectedCauses:
         """The same selection with one more hypothesis that equals a cause, by number."""
-        rivals = tuple((place, *r) if k == number and place not in r else r for k, r in enumerate(self.rivals))
+        rivals = tuple((key, *r) if k == number and key not in r else r for k, r in enumerate(self.rivals))
         return replace(self, rivals=rivals)
 
     def with_runner_up(self, number: int = 0) -> SelectedCauses:
         """The same selection with the likeliest replacement of a cause in another hypothesis as its equal."""
-        place, named = self.causes[number].key, {cause.key for cause in self.causes}
-        others = (other for h in self.hypotheses if place not in h.places for other in h.places)
-        likely = next((other for other in others if share_joints(place, other) and other not in named), None)
+        key, named = self.causes[number].key, {cause.key for cause in self.causes}
+        others = (other for h in self.hypotheses if key not in h.effect_keys for other in h.effect_keys)
+        likely = next((other for other in others if share_joints(key, other) and other not in named), None)
         return self if likely is None else self.with_rival(number, likely)

@@ -9,7 +9,7 @@ import numpy as np
 from agent.diagnosis.document import EffectPower, NotTestable
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.search import Search
-from agent.diagnosis.rows.candidate import HypothesisKey
+from agent.diagnosis.rows.candidate import EffectKey
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.needs import MotionCoverage
 from agent.model import CATALOGUE, Effect
@@ -17,27 +17,27 @@ from agent.model import CATALOGUE, Effect
 _NO_TORQUE = "no torque was recorded: what happens once is not tried on a simulated motion"
 
 
-def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[HypothesisKey, float]:
+def smallest_sizes(dataset: Dataset, evidence: Evidence) -> dict[EffectKey, float]:
     """Return the smallest detectable size of every effect on every joint, over its practical size.
 
     Four of five draws of that size would be named. It is infinite where the motions lack what the effect needs; what
     happens once has none.
     """
     coverage = MotionCoverage.of(dataset.fit.signals)
-    smallest: dict[HypothesisKey, float] = {}
+    smallest: dict[EffectKey, float] = {}
     for number, size in enumerate(evidence.smallest_sizes()):
         candidate = evidence.pool.candidate(number)
         if not candidate.transient:
-            place = candidate.key
-            smallest[place] = min(smallest.get(place, np.inf), size / candidate.effect.practical)
+            key = candidate.key
+            smallest[key] = min(smallest.get(key, np.inf), size / candidate.effect.practical)
     for effect in CATALOGUE.values():
-        for joints in () if effect.transient or effect.shows_in == "path" else effect.places(dataset.robot):
+        for joints in () if effect.transient or effect.shows_in == "path" else effect.possible_joints(dataset.robot):
             if (effect.name, joints) not in smallest and coverage.lacking(effect, joints):
                 smallest[effect.name, joints] = np.inf
     return smallest
 
 
-def power(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]) -> list[EffectPower]:
+def power(dataset: Dataset, search: Search, sizes: Mapping[EffectKey, float]) -> list[EffectPower]:
     """Return the smallest size of every allowed effect that would be found; `sizes` as of `smallest_sizes`.
 
     A joint that never moved has an entry only for effects that would have shown without motion.
@@ -56,14 +56,14 @@ def power(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]
     return entries
 
 
-def not_testable(dataset: Dataset, search: Search, sizes: Mapping[HypothesisKey, float]) -> list[NotTestable]:
+def not_testable(dataset: Dataset, search: Search, sizes: Mapping[EffectKey, float]) -> list[NotTestable]:
     """Return the effects whose practical size would not be found on these motions, and why; `sizes` as above."""
     robot = dataset.robot
     result = []
     for name, effect in CATALOGUE.items():
         if name not in search.allowed or effect.shows_in == "path":
             continue
-        for joints in effect.places(robot):
+        for joints in effect.possible_joints(robot):
             where = ", ".join(robot.joint_names[j] for j in joints) or None
             why = search.coverage.lacking(effect, joints)
             if not why and (name, joints) not in sizes:

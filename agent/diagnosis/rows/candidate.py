@@ -12,7 +12,7 @@ import numpy as np
 from agent.model import Effect, FitContext, ModelEffect, MotionSignals, NominalModel
 
 #: An effect's name, and joints from 0; none for one of the whole arm or base.
-HypothesisKey = tuple[str, tuple[int, ...]]
+EffectKey = tuple[str, tuple[int, ...]]
 #: Effect, joints and nonlinear parameters of a candidate that is asked for.
 Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 _Motions = Sequence[tuple[MotionSignals, np.ndarray]]  # each with its noise level (S', n) [N·m]
@@ -70,7 +70,7 @@ class Candidate:
     stable: bool = True
 
     @property
-    def key(self) -> HypothesisKey:
+    def key(self) -> EffectKey:
         """Effect and joints."""
         return self.effect.name, self.joints
 

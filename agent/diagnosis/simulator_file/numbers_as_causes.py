@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from agent.diagnosis.document import Cause, EffectPlace
+from agent.diagnosis.document import Cause, NamedEffect
 from agent.diagnosis.gap.torque_gap import HeldOutGap, rms
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
@@ -54,7 +54,7 @@ def causes_of_numbers(
     base, change = len(model.independent), released.moved.fit.change
     probability = LAW.certain * min(gap.closure or 0.0, 1.0)
     causes = list[Cause]()
-    like_load = (EffectPlace(_NAMES[FileNumbers.LOAD], ()),) if _may_be_load(released, selected.causes, gap) else ()
+    like_load = (NamedEffect(_NAMES[FileNumbers.LOAD], ()),) if _may_be_load(released, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
         part = gap.closure_without(_without(released, groups, selected.causes))
@@ -65,14 +65,14 @@ def causes_of_numbers(
     for group in _groups_that_cause(released, selected.causes, gap, doubted):
         joint = () if group.joint < 0 else (names[group.joint],)
         if load := gained_parameters(released, group):
-            like_links = (EffectPlace(_NAMES[FileNumbers.LINKS], ()),)
+            like_links = (NamedEffect(_NAMES[FileNumbers.LINKS], ()),)
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(_NAMES[FileNumbers.LOAD], (), closes(group), probability, load, like_links, own_part))
         elif group.kind == FileNumbers.FRICTION:
             own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
             parameters = {f"{form}_change": value for form, value in own.items()}
-            equal = (EffectPlace(_NAMES[GAIN], joint),) if group.joint in doubtful else ()
-            equal = (*equal, *(EffectPlace(name, joint) for name in likely_effects_on(released, selected, group)))
+            equal = (NamedEffect(_NAMES[GAIN], joint),) if group.joint in doubtful else ()
+            equal = (*equal, *(NamedEffect(name, joint) for name in likely_effects_on(released, selected, group)))
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(
                 Cause(_NAMES[FileNumbers.FRICTION], joint, closes(group), probability, parameters, equal, own_part)
@@ -82,7 +82,7 @@ def causes_of_numbers(
             parameters = {"scale_error": float(servos.file.kp[j] / servos.gains(change)[j] - 1)}
             equal = (
                 *like_load,
-                *((EffectPlace(_NAMES[FileNumbers.FRICTION], joint),) if group.joint in doubtful else ()),
+                *((NamedEffect(_NAMES[FileNumbers.FRICTION], joint),) if group.joint in doubtful else ()),
             )
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(_NAMES[GAIN], joint, closes(group), probability, parameters, equal, own_part))
@@ -103,7 +103,7 @@ def causes_of_numbers(
         )  # what makes most is first
         parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
         last = any(group.kind == LINK and group.joint == released.given.robot.load_link for group in bodies)
-        as_load = (EffectPlace(_NAMES[FileNumbers.LOAD], ()),) if last and released.given.servos is not None else ()
+        as_load = (NamedEffect(_NAMES[FileNumbers.LOAD], ()),) if last and released.given.servos is not None else ()
         causes.append(Cause(_NAMES[FileNumbers.LINKS], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
 
@@ -158,7 +158,7 @@ def _on_joint(released: ReleasedSimulator, group: Group, causes: Sequence[Candid
 
 def _like_offset(
     released: ReleasedSimulator, causes: Sequence[Candidate], group: Group, gap: HeldOutGap
-) -> tuple[EffectPlace, ...]:
+) -> tuple[NamedEffect, ...]:
     """What a servo that stands off its set-points may be instead: friction that differs by direction, as by
     definition, and what leaves as little in its stead: another zero of the joint, or a load."""
     names, joint = released.given.robot.joint_names, group.joint
@@ -173,9 +173,9 @@ def _like_offset(
     fit = released_fit(released.given, others)
     with_zero = fit.with_chosen((*causes, *fit.candidates([(zero, (joint,), {})])))
     loaded = released_fit(released.given, [*others, *loads]).with_chosen(causes)
-    alike = [EffectPlace(name, (names[joint],)) for name in CATALOGUE[_NAMES[OFFSET]].structurally_equivalent]
-    alike += [EffectPlace(zero.name, (names[joint],))] if as_little(with_zero) else []
-    alike += [EffectPlace(_NAMES[FileNumbers.LOAD], ())] if loads and as_little(loaded) else []
+    alike = [NamedEffect(name, (names[joint],)) for name in CATALOGUE[_NAMES[OFFSET]].structurally_equivalent]
+    alike += [NamedEffect(zero.name, (names[joint],))] if as_little(with_zero) else []
+    alike += [NamedEffect(_NAMES[FileNumbers.LOAD], ())] if loads and as_little(loaded) else []
     return tuple(alike)
 
 
@@ -197,5 +197,5 @@ def likely_effects_on(released: ReleasedSimulator, selected: SelectedCauses, gro
     if released.given.servos is None:
         return []
     named = {cause.key for cause in selected.causes}
-    likeliest = selected.hypotheses[0].places
+    likeliest = selected.hypotheses[0].effect_keys
     return [name for name, joints in likeliest if joints == (group.joint,) and (name, joints) not in named]

@@ -168,7 +168,7 @@ class Effect(ABC):
         stem = parameter.rstrip("0123456789")
         return next((units[name] for name in (parameter, stem, stem.split("_")[0]) if name in units), "")
 
-    def places(self, robot: RobotDescription) -> list[Joints]:
+    def possible_joints(self, robot: RobotDescription) -> list[Joints]:
         """Joints where it may act."""
         return [(k,) for k in range(robot.dof)] if self.scope == "joint" else [()]
 

@@ -24,7 +24,7 @@ class InterpolatorMismatch(Effect):
     leading = ("shift",)
     shows_in = "path"
 
-    def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
+    def possible_joints(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         return []
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:

@@ -62,7 +62,7 @@ class WristCoupling(Effect):
     refined = ("ratio",)
     nonlinear = ("ratio",)
 
-    def places(self, robot: RobotDescription) -> list[tuple[int, ...]]:
+    def possible_joints(self, robot: RobotDescription) -> list[tuple[int, ...]]:
         first = max(0, robot.dof - _WRIST)
         return [(i, j) for i in range(first, robot.dof) for j in range(i + 1, robot.dof)]
 

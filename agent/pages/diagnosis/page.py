@@ -278,7 +278,7 @@ def _hypotheses_section(diagnosis: Diagnosis) -> Section:
             f"{hypothesis.probability:.3f}",
             f"{100 * hypothesis.explained_share:.0f} %",
         )
-        places = set(hypothesis.places)
+        places = set(hypothesis.effect_keys)
         equal = "as good: these logs do not distinguish it" if len(places) == 1 and places <= rivals else ""
         rows.append((" + ".join(effects) or "no effect", *figures, "named" if named and places == named else equal))
     text = [

@@ -64,7 +64,8 @@ def with_effect(arm, model, dataset) -> Callable[[str], IdentifiedModel]:
 
     def extend(name: str) -> IdentifiedModel:
         effect = CATALOGUE[name]
-        joints = effect.places(arm)[0 if name in SWINGING else -1]  # the first axis is vertical: its load changes sign
+        # the first axis is vertical: its load changes sign
+        joints = effect.possible_joints(arm)[0 if name in SWINGING else -1]
         forms = [] if name == "time_delay" else effect.settings(dataset.fit, joints)
         forms = forms or [LAST_RESORT[name]]
         settings = forms[len(forms) // 2]
