@@ -32,7 +32,7 @@ KINDS = ("loop", "stops", "reversals")
 #: Speed of a loop or of stops, over the recipe's; of reversals, over the joint's highest, and their turn to either side
 #: over half the joint's range, before it is cut to the sub-region.
 _SHARES = (0.1, 0.3, 1.0)
-_REST = 1.0  # numerical: s at every point: rows with a stationary joint do not count, so none tells more
+_REST = 1.0  # s at every point: rows with a stationary joint do not count, so none tells more
 PERIOD = 0.01  # numerical: s of the set-points that are weighed; the program is checked at the controller's own
 SPEED_ROUND_OFF = 1.01  # numerical: largest ratio of the tool's speed to the commanded one, with this period
 _VARY = 0.2  # numerical: standard deviation of a neighbour's genes, and of the logarithm of its speed and turn

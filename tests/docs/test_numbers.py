@@ -31,6 +31,13 @@ def test_every_number_has_its_line():
     assert sensitivity.PAGE.read_text("utf-8") == sensitivity.page(list(sensitivity.table().values()))
 
 
+def test_at_most_eighty_numbers_decide_and_each_says_what_it_is():
+    rows = sensitivity.table()
+    decide = [site for number, site in numbers().items() if sensitivity.kind_of(site, rows[number]) == "decides"]
+    assert len(decide) <= 80, "a number that decides enters by deleting one"
+    assert [site.key for site in decide if not site.comment] == []
+
+
 def test_what_is_called_numerical_changes_nothing():
     rows = sensitivity.table()
     claimed = [rows[number] for number, site in numbers().items() if site.claims == "numerical"]

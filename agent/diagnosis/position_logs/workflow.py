@@ -36,7 +36,6 @@ from agent.recording import HELD, HOLD, SMOOTH, Log
 from agent.simulators import FreeSimulator, ServoNumbers, Simulator
 
 _ROUGH = 0.05  # numerical: of the cost: a fit to start from gains less in its last round
-_SETTLES = 1.0  # s at most
 _NARROWER, _CUTS = 0.9, 30  # numerical: of a cut of commands, the next one that is tried, and how many are
 _REVERSALS = 2  # derived: load and friction of a joint that turns back once are one step
 
@@ -119,7 +118,7 @@ def _fitted(
     file = free.numbers
     # of a start that fades with e^(-t / T), what counts as nothing is left
     lasting = -float(np.log(LIMITS.negligible)) * float(np.max(file.damping / np.maximum(file.kp, 1e-9)))
-    settling = min(lasting, _SETTLES)
+    settling = min(lasting, min(log.t[-1] - log.t[0] for log in logs) / LIMITS.blocks)
     stretches, chance = stretches_of(logs, ways[0] == HELD, settling), _by_chance(1)
     scale = usual_scale(reference, file, stretches)
     by_equation = numbers_by_equation(reference, file, stretches)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from scipy.interpolate import CubicSpline
 
-N_NODES = 6
+N_NODES = 6  # knots of its torque over position; chosen: a hose bends a few times over the range of a joint
 _BEND = 0.1  # nominal torque: usual deviation from a straight line at a node
 
 

@@ -115,7 +115,9 @@ class Effect(ABC):
     source: ClassVar[str]
     signature: ClassVar[str]
     confused_with: ClassVar[tuple[str, ...]] = ()
-    practical: ClassVar[float] = 0.01
+    practical: ClassVar[float] = (
+        0.01  # nominal torque: smallest change that somebody at the machine would look for; chosen
+    )
     phrase: ClassVar[str]
     look_at: ClassVar[str]
     experiment: ClassVar[SeparatingMotion] = THREE_LOADS
