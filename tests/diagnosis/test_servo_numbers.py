@@ -103,7 +103,7 @@ def test_a_joint_errs_by_more_than_a_right_file_does_from_twice_the_expected_err
 
 
 def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it():
-    hypotheses = [SimpleNamespace(places=(("stribeck", (1,)), ("backlash", (0,))))]
+    hypotheses = [SimpleNamespace(effect_keys=(("stribeck", (1,)), ("backlash", (0,))))]
     selected = SimpleNamespace(hypotheses=hypotheses, causes=[])
     released = SimpleNamespace(given=SimpleNamespace(servos=object()))
     friction = Group("friction", 1, np.zeros((9, 2)), np.ones(2))

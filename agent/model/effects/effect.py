@@ -115,9 +115,7 @@ class Effect(ABC):
     source: ClassVar[str]
     signature: ClassVar[str]
     confused_with: ClassVar[tuple[str, ...]] = ()
-    practical: ClassVar[float] = (
-        0.01  # nominal torque: smallest change that somebody at the machine would look for; chosen
-    )
+    practical: ClassVar[float] = 0.01  # nominal torque: a change that one would look for at the machine; chosen
     phrase: ClassVar[str]
     look_at: ClassVar[str]
     experiment: ClassVar[SeparatingMotion] = THREE_LOADS
