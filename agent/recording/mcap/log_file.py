@@ -9,15 +9,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import numpy as np
-from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, McapRecord, Metadata, Schema
-from mcap.writer import Writer
 
 from agent.core import AgentError, InputError, package_version, written_whole
 from agent.recording.log import NANO, Log
+from agent.recording.mcap.chunks import ChunkWriter
 from agent.recording.mcap.foxglove import FOXGLOVE_LAYOUT, foxglove_layout
 from agent.recording.mcap.joint_state import SCHEMA_NAME, SCHEMA_TEXT, JointStateLayout, layout_for
 from drivers.protocol import SampleBlock
@@ -31,8 +29,6 @@ STATUS = "/controller_status"
 RUN = "run"
 #: Longest stretch of data, and of waiting, that a killed process may lose [s]; the contract allows one second.
 FLUSH_INTERVAL = 0.5
-#: Uncompressed size at which a chunk is closed [bytes]: 64 KiB, less the message that comes on top.
-_CHUNK_SIZE = 60 * 1024
 _ROWS = 1000  # samples encoded at a time
 #: Bytes that wait for one write at most.
 _WAITING = 2**20
@@ -63,8 +59,7 @@ class LogFile:
     """Writes one log. The file is readable, up to the last flush, at any moment of its life.
 
     The record `run` is written at the start, for whoever reads the log of a killed writer, and again, with what is
-    known only then, at the end; the index at the file's end names the last one. Schemas and channels also stand outside
-    the chunks, so that a damaged chunk takes no definitions with it.
+    known only then, at the end.
 
     Args:
         joint_names: as in the robot description.
@@ -95,17 +90,14 @@ class LogFile:
         if sample_rate is not None:
             self._run["sample_rate_hz"] = f"{sample_rate:.12g}"
         self._layouts: dict[tuple[bool, ...], JointStateLayout] = {}
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
         self._first: int | None = None
         self._flushed = 0
         self._receive_offset = 0
         self._cycle_starts: list[float] = []
         self._file = _KeptFile(path)
-        self._writer = Writer(cast(IO[bytes], self._file), chunk_size=_CHUNK_SIZE)
-        self._writer.start("ros2", f"calibration-agent {package_version()}")
+        self._writer = ChunkWriter(self._file, f"calibration-agent {package_version()}")
         self._channel(STATES)
-        self._file.write(_record(Metadata(RUN, self._run)))
+        self._writer.add_metadata(RUN, self._run)
         self._file.flush()
 
     @property
@@ -171,14 +163,14 @@ class LogFile:
     def event(self, text: str) -> None:
         """Note what happened, on /controller_status at the receive time."""
         data = text.encode() + b"\0"
-        now = int(self._clock() * NANO)
-        channel = self._channel(STATUS, "std_msgs/msg/String", "string data\n")
-        self._writer.add_message(channel, now, b"\x00\x01\x00\x00" + struct.pack("<I", len(data)) + data, now)
+        message = b"\x00\x01\x00\x00" + struct.pack("<I", len(data)) + data
+        channel = self._writer.channel(STATUS, "std_msgs/msg/String", "string data\n")
+        now = np.array([int(self._clock() * NANO)])
+        self._writer.add_messages(channel, now, np.zeros(1, int), np.frombuffer(message, np.uint8)[None])
 
     def flush(self) -> None:
         """Hand over to the operating system what is still in memory, and see that the file is still there."""
         self._writer.flush()
-        self._file.flush()
         self._file.check_kept()
 
     def finish(self, padding: int = 0) -> None:
@@ -190,9 +182,9 @@ class LogFile:
         run["lost_samples"], run["repeated_samples"] = str(self.lost), str(self.repeated)
         self._writer.add_metadata(RUN, run)
         layout = foxglove_layout(self._names).encode()
-        self._writer.add_attachment(0, 0, FOXGLOVE_LAYOUT, "application/json", layout)
+        self._writer.add_attachment(FOXGLOVE_LAYOUT, "application/json", layout)
         if padding:
-            self._writer.add_attachment(0, 0, "padding", "application/octet-stream", bytes(padding))
+            self._writer.add_attachment("padding", "application/octet-stream", bytes(padding))
         self._writer.finish()
         self._file.sync()
         self._file.check_kept()
@@ -210,15 +202,12 @@ class LogFile:
     ) -> None:
         if STATES in topics and self._first is None and len(stamps):
             self._first = int(stamps[0])
-        numbers = (np.asarray(sequences, np.int64) & 0xFFFFFFFF).tolist()
-        times = np.maximum(log_times, 0).tolist()
+        numbers, times = np.asarray(sequences, np.int64) & 0xFFFFFFFF, np.maximum(log_times, 0)
         for start in range(0, len(stamps), _ROWS):
             part = slice(start, start + _ROWS)
             for topic, arrays in topics.items():
-                channel = self._channel(topic)
                 rows = self._layout(arrays).filled(stamps[part], [_rows(values, part) for values in arrays])
-                for row, log_time, number in zip(rows, times[part], numbers[part], strict=True):
-                    self._writer.add_message(channel, log_time, row.tobytes(), log_time, number)
+                self._writer.add_messages(self._channel(topic), times[part], numbers[part], rows)
 
     def _layout(self, arrays: Sequence[np.ndarray | None]) -> JointStateLayout:
         position, velocity, effort = key = tuple(values is not None for values in arrays)
@@ -226,15 +215,8 @@ class LogFile:
             self._layouts[key] = layout_for(self._names, velocity, effort, position)
         return self._layouts[key]
 
-    def _channel(self, topic: str, kind: str = SCHEMA_NAME, text: str = SCHEMA_TEXT) -> int:
-        if topic not in self._channels:
-            if kind not in self._schemas:
-                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
-                self._file.write(_record(Schema(self._schemas[kind], text.encode(), "ros2msg", kind)))
-            schema = self._schemas[kind]
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
-            self._file.write(_record(Channel(self._channels[topic], topic, "cdr", {}, schema)))
-        return self._channels[topic]
+    def _channel(self, topic: str) -> int:
+        return self._writer.channel(topic, SCHEMA_NAME, SCHEMA_TEXT)
 
 
 class _SequenceCheck:
@@ -355,12 +337,6 @@ class _KeptFile:
 
 def _appending(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_APPEND, 0o666)
-
-
-def _record(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return builder.end()
 
 
 def _rows(values: np.ndarray | None, which: np.ndarray | slice) -> np.ndarray | None:
