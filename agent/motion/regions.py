@@ -198,5 +198,6 @@ def _box_around(points: np.ndarray, turns: np.ndarray, around: float) -> BoxRegi
     mean = np.linalg.eigh(turns.T @ turns)[1][:, -1]
     middle = rotation.to_pose(0.5 * (points.min(axis=0) + points.max(axis=0)), mean)
     axes = rotation.to_matrix(turns)[:, :, 2]
-    tilt = float(np.max(np.arccos(np.clip(axes @ middle[:3, 2], -1.0, 1.0))))
+    cosines: np.ndarray = axes @ middle[:3, 2]
+    tilt = float(np.arccos(np.clip(cosines, -1.0, 1.0)).max())
     return BoxRegion(middle, 0.5 * np.ptp(points, axis=0) + around, min(tilt + _TASK_CONE, np.pi))

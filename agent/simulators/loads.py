@@ -54,7 +54,8 @@ class IdentifiedLoad:
     def principal(self) -> tuple[np.ndarray, Rotation]:
         """(3,) principal moments, and the right-handed rotation of their axes that is closest to the flange's."""
         moments, axes = np.linalg.eigh(self.inertia)
-        order = max(map(list, permutations(range(3))), key=lambda columns: np.abs(np.diag(axes[:, columns])).sum())
+        orders = [list(columns) for columns in permutations(range(3))]
+        order = orders[int(np.argmax([np.abs(np.diag(axes[:, columns])).sum() for columns in orders]))]
         axes = axes[:, order] * np.where(np.diag(axes[:, order]) < 0, -1.0, 1.0)
         if np.linalg.det(axes) < 0:
             axes[:, np.argmin(np.diag(axes))] *= -1
