@@ -1,8 +1,8 @@
 """`pytest --forks 4`: tests in four processes that are forked once everything is imported and collected.
 
 A process of its own that imports and collects everything takes six seconds of a processor for that. Each process takes
-one file of tests after the other, so that what a file prepares for its tests is prepared once. Tests marked `alone` run
-when all others have ended.
+one file of tests after the other, from one folder if it can, so that what they prepare for their tests is prepared
+once. Tests marked `alone` run when all others have ended.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import signal
 import sys
 import traceback
 import warnings
-from collections import deque
 from collections.abc import Iterator
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
@@ -52,7 +51,7 @@ class _Forks:
     """Processes that run files of tests, and tell this one what it would have heard from its own plugins."""
 
     def __init__(self, session: pytest.Session, files: list[_File]) -> None:
-        self._session, self._hook, self._waiting = session, session.config.hook, deque(files)
+        self._session, self._hook, self._waiting = session, session.config.hook, files
         self._running: dict[Connection, _Fork] = {}
 
     def run(self, count: int) -> None:
@@ -80,7 +79,7 @@ class _Forks:
             self._ended(fork)
             return
         if name == "next":
-            fork.file = self._waiting.popleft() if self._waiting else []
+            fork.file = self._taken(fork) if self._waiting else []
             fork.link.send(fork.file)
         elif name == "ended":
             fork.file = fork.file[1:]
@@ -89,6 +88,18 @@ class _Forks:
         else:
             report = self._hook.pytest_report_from_serializable(config=self._session.config, data=arguments)
             self._hook.pytest_runtest_logreport(report=report)
+
+    def _taken(self, fork: _Fork) -> _File:
+        """A file of the folder where a process is, else of one where none is, else any."""
+        busy = {other.folder for other in self._running.values()}
+
+        def folder(file: _File) -> Path:
+            return self._session.items[file[0]].path.parent
+
+        file = min(self._waiting, key=lambda file: (folder(file) != fork.folder, folder(file) in busy))
+        self._waiting.remove(file)
+        fork.folder = folder(file)
+        return file
 
     def _ended(self, fork: _Fork) -> None:
         """What a process that crashed has not begun is for another one."""
@@ -105,12 +116,13 @@ class _Forks:
 
 
 class _Fork:
-    """One process; `link` is the way to it, `file` what it has not ended yet."""
+    """One process; `link` is the way to it, `file` what it has not ended yet, `folder` where that is."""
 
     _number = itertools.count()
 
     def __init__(self, session: pytest.Session, others: list[Connection]) -> None:
         self.file: _File = []
+        self.folder: Path | None = None
         self.link, theirs = Pipe()
         number = next(self._number)
         sys.stdout.flush()
