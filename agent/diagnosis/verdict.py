@@ -139,13 +139,13 @@ def name_causes(selected: SelectedCauses, errs: bool = False) -> SelectedCauses:
     if not sure or selected.explained_share < LIMITS.explained:
         return selected.without_causes(leaves_gap=True)
     selected = replace(selected.keeping(sure), leaves_gap=exceeded)
-    without_rival = []
+    unrivalled = []
     for k, cause in enumerate(selected.causes):
         if not selected.rivals[k] and not selected.ignored.isdisjoint(cause.effect.structurally_equivalent):
             selected = selected.with_runner_up(k)
-            without_rival += [] if selected.rivals[k] else [k]
+            unrivalled += [] if selected.rivals[k] else [k]
     return selected.keeping(
-        [k for k in range(len(selected.causes)) if k not in without_rival], leaves_gap=exceeded or bool(without_rival)
+        [k for k in range(len(selected.causes)) if k not in unrivalled], leaves_gap=exceeded or bool(unrivalled)
     )
 
 
@@ -166,8 +166,8 @@ def keep_supported(
         if not selected.causes:
             leaves_gap = selected.leaves_gap or (dropped and exceeds(selected.fit, gap))
             return replace(selected, leaves_gap=leaves_gap), gap
-        closed, alone = gap.closure or 0.0, closed_alone(selected.fit, gap, len(selected.causes))
-        if not selected.rivals[0] and (closed < LIMITS.explained or alone < LIMITS.majority * closed):
+        closed, closed_by_causes = gap.closure or 0.0, closed_alone(selected.fit, gap, len(selected.causes))
+        if not selected.rivals[0] and (closed < LIMITS.explained or closed_by_causes < LIMITS.majority * closed):
             selected = selected.with_runner_up()
         if (fewer := drop_replaceable(selected, gap)) is not None:
             selected = fewer
@@ -175,13 +175,13 @@ def keep_supported(
         causes = causes_of(dataset, selected, gap)
         lacking = shortfalls(selected.fit, gap, selected.causes, selected.irreplaceable)
         explanation = _verdict_by(causes, explained_part(selected.fit, gap, len(causes)))
-        kept = () if explanation is None else explanation.causes
-        if len(kept) == len(causes) and not any(lacking):
+        named = () if explanation is None else explanation.causes
+        if len(named) == len(causes) and not any(lacking):
             return selected, gap
         if any(lacking):
-            kept, selected = causes, selected.with_rejected(lacking)
+            named, selected = causes, selected.with_rejected(lacking)
         selected = selected.keeping(
-            [k for k, cause in enumerate(causes) if cause in kept and not lacking[k]],
+            [k for k, cause in enumerate(causes) if cause in named and not lacking[k]],
             leaves_gap=selected.leaves_gap or any(lacking),
         )
 
@@ -193,13 +193,13 @@ def drop_replaceable(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCause
     of the gap, or of that of its joints where no larger cause has them.
     """
     count = len(selected.causes)
-    lost = []
+    losses = []
     for number in range(count):
         others = selected.keeping([k for k in range(count) if k != number])
         remaining = others.fit.held_out()
         shares = gap.closure_without(remaining), _closure_on_own(selected, gap, number, remaining)
-        lost.append((max(share or 0.0 for share in shares), number, others))
-    share, _, others = min(lost)
+        losses.append((max(share or 0.0 for share in shares), number, others))
+    share, _, others = min(losses)
     return others if share < LIMITS.least_share else None
 
 

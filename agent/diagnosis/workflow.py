@@ -11,7 +11,7 @@ from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
 from agent.diagnosis.gap.adequacy import errs_beyond_chance, explained_part
-from agent.diagnosis.gap.drives_off import channel_zero, zero_likelihood, zero_remarks
+from agent.diagnosis.gap.drives_off import ChannelZero, channel_zero, zero_likelihood, zero_remarks
 from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.hypotheses.healthy import healthy_on
@@ -46,12 +46,9 @@ def diagnose(
     simulator: Simulator | None = None,
     known_kp: bool = False,
 ) -> Diagnosis:
-    """Diagnose logs against a model, or against a model fitted to them; `progress` receives progress messages.
+    """Diagnose logs against a model, or against a model fitted to them.
 
-    Logs without torque are judged by the free motion of the `simulator` that the model was read from; `known_kp`: the
-    gains of its servos are right.
-
-    `drives_off` is a log of the stationary arm on its brakes: it gives the zero of the torque channels.
+    Logs without torque are judged by the free motion of the simulator that the model was read from.
 
     Args:
         robot: description of the arm.
@@ -60,7 +57,7 @@ def diagnose(
         cutoff: of the torque filter [Hz]; None: the model's.
         without: effects to ignore.
         progress: called with what is being done.
-        drives_off: log of the stationary arm on its brakes.
+        drives_off: log of the stationary arm on its brakes, which gives the zero of the torque channels.
         simulator: that the model was read from.
         known_kp: whether the gains of its servos are right.
 
@@ -73,35 +70,42 @@ def diagnose(
         raise InputError("no logs were given, so there is nothing to diagnose")
     check_effects(without)
     zero = None if drives_off is None else channel_zero(robot, drives_off, model)
-    logs, twice = _distinct(logs)
-    held: HeldTorque | None = None
+    logs, repeated = _distinct(logs)
+    motion, stuck = motion_gap(logs), None
     if simulator is not None and without_torque(simulator, logs):
         positions = search_positions(simulator, logs, without, progress, known_kp)
-        explanation = positions.explanation
-        motion = motion_gap(logs)
-        warned = (*twice, *positions.said, *_path_warnings(motion))
-        if len(logs) == 1:
-            warned = (*warned, _ONE_MOTION)
-        return build(explanation, _verdict(explanation, motion), motion, warned)
+        one_motion = (_ONE_MOTION,) if len(logs) == 1 else ()
+        warnings = (*repeated, *positions.said, *_path_warnings(motion), *one_motion)
+        return build(positions.explanation, _verdict(positions.explanation, motion), motion, warnings)
     if model is not None and model.method == SIMULATOR:
         explanation = search_simulator(robot, model, logs, cutoff, without, progress)
     else:
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")
-        dataset = assemble(robot, model, logs, cutoff)
-        observed = None if zero is None else zero_likelihood(zero, dataset.model)
-        usual = None if model is None else healthy_on(dataset.fit, model, without)
-        search = Search(dataset.fit, without, progress, observed=observed, healthy=usual)
-        searched = search.run()
-        selected = replace(name_causes(searched, errs_beyond_chance(dataset, searched)), zero_known=zero is not None)
-        if (held := held_torque(dataset, selected.fit)) is not None:
-            selected = selected.without_causes(leaves_gap=True)
-        explanation = Explanation(ReleasedSimulator(dataset, dataset, ()), search, *keep_supported(dataset, selected))
-    motion = motion_gap(logs)
+        explanation, stuck = _explain_torque(assemble(robot, model, logs, cutoff), model, without, progress, zero)
     dataset = explanation.dataset
     of_zero = () if zero is None else zero_remarks(dataset, explanation.selected, zero)
-    beyond = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
-    said = (*_warnings(robot, logs, model is not None), *_of_model(dataset), *beyond, *_path_warnings(motion))
-    return build(explanation, _verdict(explanation, motion), motion, (*twice, *of_zero, *said), held)
+    out_of_range = beyond_fit(dataset.model, [(s.q[s.kept], s.qd[s.kept]) for s in dataset.fit.signals])
+    of_logs = _warnings(robot, logs, model is not None)
+    warnings = (*repeated, *of_zero, *of_logs, *_of_model(dataset), *out_of_range, *_path_warnings(motion))
+    return build(explanation, _verdict(explanation, motion), motion, warnings, stuck)
+
+
+def _explain_torque(
+    dataset: Dataset,
+    model: IdentifiedModel | None,
+    without: Sequence[str],
+    progress: Callable[[str], None],
+    zero: ChannelZero | None,
+) -> tuple[Explanation, HeldTorque | None]:
+    """The causes of a gap in torque; none where a channel stands still, which is returned too."""
+    observed = None if zero is None else zero_likelihood(zero, dataset.model)
+    healthy = None if model is None else healthy_on(dataset.fit, model, without)
+    search = Search(dataset.fit, without, progress, observed=observed, healthy=healthy)
+    searched = search.run()
+    selected = replace(name_causes(searched, errs_beyond_chance(dataset, searched)), zero_known=zero is not None)
+    if (stuck := held_torque(dataset, selected.fit)) is not None:
+        selected = selected.without_causes(leaves_gap=True)
+    return Explanation(ReleasedSimulator(dataset, dataset, ()), search, *keep_supported(dataset, selected)), stuck
 
 
 def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
@@ -141,15 +145,15 @@ def _path_warnings(motion: MotionGap | None) -> Iterator[str]:
 
 def _distinct(logs: Sequence[Log]) -> tuple[list[Log], list[str]]:
     """Drop logs that repeat another sample by sample, with a warning for each: they would test nothing."""
-    kept: list[Log] = []
+    distinct: list[Log] = []
     warnings = []
     for log in logs:
-        same = (other for other in kept if _samples(other) == _samples(log))
+        same = (other for other in distinct if _samples(other) == _samples(log))
         if (first := next(same, None)) is None:
-            kept.append(log)
+            distinct.append(log)
         else:
             warnings.append(f"{log.path} holds the same samples as {first.path} and is left out")
-    return kept, warnings
+    return distinct, warnings
 
 
 def _samples(log: Log) -> tuple[bytes, bytes]:
@@ -174,17 +178,17 @@ def _of_model(dataset: Dataset) -> Iterator[str]:
         )
 
 
-def _warnings(robot: RobotDescription, logs: Sequence[Log], given: bool) -> Iterator[str]:
+def _warnings(robot: RobotDescription, logs: Sequence[Log], has_reference: bool) -> Iterator[str]:
     """Warnings that limit the conclusions."""
     if len(logs) == 1:
         yield _ONE_MOTION
-    if not given:
+    if not has_reference:
         yield "no model was given: only what a model fitted to these logs cannot absorb is seen as a gap"
     yield from map(str, spoiled(robot, logs))
-    still = [
+    stationary = [
         name
         for joint, name in enumerate(robot.joint_names)
         if all(np.ptp(log.position[:, joint]) <= LIMITS.least_travel for log in logs)
     ]
-    if still:
-        yield f"only the weight of a joint that never moves can be judged: {', '.join(still)}"
+    if stationary:
+        yield f"only the weight of a joint that never moves can be judged: {', '.join(stationary)}"

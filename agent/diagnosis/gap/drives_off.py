@@ -93,10 +93,12 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
         return
     still = np.zeros((1, robot.dof))
     torque, friction = model.predict_parts(log.position.mean(axis=0)[None], still, still)
-    held = (torque - friction)[0]
-    loaded = np.abs(held) > Effect.practical * np.where(np.isnan(nominal), np.abs(held).max(), nominal)
-    unheld = np.linalg.norm((mean - _known_offsets(model) - held)[loaded])
-    if loaded.any() and unheld < (1 - LIMITS.explained) * np.linalg.norm(held[loaded]):
+    static_torque = (torque - friction)[0]
+    loaded = np.abs(static_torque) > Effect.practical * np.where(
+        np.isnan(nominal), np.abs(static_torque).max(), nominal
+    )
+    remaining = np.linalg.norm((mean - _known_offsets(model) - static_torque)[loaded])
+    if loaded.any() and remaining < (1 - LIMITS.explained) * np.linalg.norm(static_torque[loaded]):
         names = ", ".join(np.array(robot.joint_names)[loaded])
         raise InputError(
             f"{log.name}: the torque of {names} is what it takes to hold the arm there, so its drives are on: {again}"
@@ -129,25 +131,25 @@ def zero_remarks(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) 
     """Return what a log with the drives off says of the causes, one text a channel that it may concern."""
     sizes = zip(selected.causes, selected.fit.values, strict=True)
     offsets = {c.joints[0]: float(np.abs(v).max()) for c, v in sizes if c.effect.adds_to_report is not None}
-    before, said = _known_offsets(dataset.model), []
+    before, remarks = _known_offsets(dataset.model), []
     for joint, entry in enumerate(dataset.robot.joints):
-        seen, least = zero.torque[joint], Effect.practical * dataset.fit.reference.scale[joint]
+        shown, least = zero.torque[joint], Effect.practical * dataset.fit.reference.scale[joint]
         unit = entry.torque_unit
-        if np.isnan(seen):
+        if np.isnan(shown):
             if joint in offsets:
-                said.append(f"the torque channel of {entry.name} is off with its drive, so it settles nothing")
+                remarks.append(f"the torque channel of {entry.name} is off with its drive, so it settles nothing")
         elif LIMITS.deviations * zero.error[joint] > offsets.get(joint, np.inf):
-            said.append(f"with the drives off the torque of {entry.name} is too restless to show an offset")
+            remarks.append(f"with the drives off the torque of {entry.name} is too restless to show an offset")
         elif joint in offsets:
-            said.append(
-                f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}: its channel has an offset"
+            remarks.append(
+                f"with the drives off the torque of {entry.name} is {shown:.3g} {unit}: its channel has an offset"
             )
-        elif min(abs(seen), abs(seen - before[joint])) > LIMITS.deviations * zero.error[joint] + least:
-            said.append(
-                f"with the drives off the torque of {entry.name} is {seen:.3g} {unit}, and in motion no offset of its "
+        elif min(abs(shown), abs(shown - before[joint])) > LIMITS.deviations * zero.error[joint] + least:
+            remarks.append(
+                f"with the drives off the torque of {entry.name} is {shown:.3g} {unit}, and in motion no offset of its "
                 "channel was found: was it recorded on the same day, by the same channel, with the drives off?"
             )
-    return tuple(said or ["with the drives off no torque channel shows an offset"])
+    return tuple(remarks or ["with the drives off no torque channel shows an offset"])
 
 
 def _known_offsets(model: IdentifiedModel) -> np.ndarray:

@@ -60,14 +60,14 @@ class HeldOutGap:
         whole = float(np.mean(self.before**2))
         return 1 - float(np.mean(self.after**2)) / whole if whole > 0 else 0.0
 
-    def closure_without(self, left: np.ndarray) -> float | None:
-        """Loss of explained gap if (S', n) [N·m] is left instead."""
-        return closure(self.before, rms(self.beyond(left)) / self.unit, self.after, self.floor)
+    def closure_without(self, residual: np.ndarray) -> float | None:
+        """Loss of explained gap with a residual (S', n) [N·m] instead."""
+        return closure(self.before, rms(self.beyond(residual)) / self.unit, self.after, self.floor)
 
-    def closure_on(self, joints: Sequence[int], left: np.ndarray) -> float | None:
-        """Part that is closed of the error of joints, compared with (S', n) [N·m] left on them."""
+    def closure_on(self, joints: Sequence[int], residual: np.ndarray) -> float | None:
+        """Part that is closed of the error of joints, compared with a residual (S', n) [N·m]."""
         at, floor = list(joints), None if self.floor is None else self.floor[list(joints)]
-        without = (rms(self.beyond(left)) / self.unit)[at]
+        without = (rms(self.beyond(residual)) / self.unit)[at]
         return closure(without, without, self.after[at], floor)
 
     def beyond(self, rows: np.ndarray) -> np.ndarray:

@@ -119,10 +119,10 @@ class Evidence(Score):
         ends = len(self.prior) + np.cumsum([0, *(len(form.names) for form in forms)])
         total = np.zeros((int(ends[-1]),) * 2)
         for j in range(self.joints):
-            here = [place for place, form in enumerate(forms) if j in form.blocks]
-            at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in here)]).astype(int)
+            on_joint = [number for number, form in enumerate(forms) if j in form.blocks]
+            at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in on_joint)]).astype(int)
             variance = self.noise.variance(j, float(scales[j]), 0.0, {})
-            joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in here), at)
+            joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in on_joint), at)
             total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
         return total
 
@@ -147,11 +147,11 @@ class Evidence(Score):
             ridge = prior + (rms**2 / size**2)[:, :, None] * eye
             matrix = schur + ridge
             unit = 1 / np.sqrt(np.maximum(np.diagonal(matrix, axis1=1, axis2=2), 1e-300))
-            both = unit[:, :, None] * unit[:, None, :]
-            matrix = matrix * both + 1e-10 * eye
+            unit_products = unit[:, :, None] * unit[:, None, :]
+            matrix = matrix * unit_products + 1e-10 * eye
             fitted = unit * np.linalg.solve(matrix, (unit * side)[..., None])[..., 0]
             gain = 0.5 * (np.sum(side * fitted, axis=1) - np.linalg.slogdet(matrix)[1])
-            gain += 0.5 * np.linalg.slogdet(ridge * both)[1]
+            gain += 0.5 * np.linalg.slogdet(ridge * unit_products)[1]
             better = gain > best
             best[better], values[better] = gain[better], fitted[better]
         return best, values

@@ -127,15 +127,15 @@ class CandidatePool:
         size = int(ends[-1]) + 1
         own, cross, at = np.zeros((size, size)), np.zeros((free, size)), np.r_[0:width, size - 1]
         own[np.ix_(at, at)], cross[:, at] = gram[np.ix_(keep, keep)], gram[of_free][:, keep]
-        for place, k in enumerate(effects):
+        for at_effect, k in enumerate(effects):
             block, number = self._where[k]
-            span, moments = slice(ends[place], ends[place + 1]), self.blocks[block].moments[joint]
+            span, moments = slice(ends[at_effect], ends[at_effect + 1]), self.blocks[block].moments[joint]
             moments = moments[:, self.blocks[block].column_slice(number, joint)]
             own[at, span], own[span, at], cross[:, span] = moments[keep], moments[keep].T, moments[of_free]
             own[span, span] = self._own(k, joint)
-            for before, other in enumerate(effects[:place]):
-                there, both = slice(ends[before], ends[before + 1]), self._product(other, k, joint)
-                own[there, span], own[span, there] = both, both.T
+            for earlier, other in enumerate(effects[:at_effect]):
+                earlier_span, product = slice(ends[earlier], ends[earlier + 1]), self._product(other, k, joint)
+                own[earlier_span, span], own[span, earlier_span] = product, product.T
         return own, cross, gram[of_free, of_free]
 
     def torque(self, number: int, values: np.ndarray) -> dict[int, float]:
@@ -145,11 +145,12 @@ class CandidatePool:
             for j in self.candidate(number).blocks
         }
 
-    def difference(self, one: int, values: np.ndarray, other: int, others: np.ndarray, joint: int) -> float:
-        """Torque over nominal, root mean square, between an effect with parameters and another with others."""
-        both = self._product(one, other, joint)
-        power = values @ self._own(one, joint) @ values + others @ self._own(other, joint) @ others
-        return float(np.sqrt(max(power - 2 * values @ both @ others, 0.0) / self.noise.count) / self.noise.unit[joint])
+    def difference(self, first: int, values: np.ndarray, second: int, second_values: np.ndarray, joint: int) -> float:
+        """Torque over nominal, root mean square, between two effects, the first with `values`."""
+        product = self._product(first, second, joint)
+        power = values @ self._own(first, joint) @ values + second_values @ self._own(second, joint) @ second_values
+        energy = max(power - 2 * values @ product @ second_values, 0.0) / self.noise.count
+        return float(np.sqrt(energy) / self.noise.unit[joint])
 
     def variance(self, number: int, covariance: np.ndarray, joint: int) -> float:
         """Mean square of the torque over nominal by which parameters of a covariance (k, k) change an effect's."""

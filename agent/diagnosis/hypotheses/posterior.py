@@ -36,7 +36,7 @@ Observed = Callable[[Evidence, EvaluatedHypothesis], float]
 def compare(
     fit: Fit,
     evidence: Evidence,
-    found: Sequence[EvaluatedHypothesis],
+    evaluated: Sequence[EvaluatedHypothesis],
     observed: Observed | None = None,
     ignored: Collection[str] = (),
 ) -> SelectedCauses:
@@ -45,7 +45,7 @@ def compare(
     `fit` is the one without effects; `observed` counts with the evidence of the logs; effects that were `ignored` are
     in no hypothesis.
     """
-    hypotheses = posterior(evidence, found, observed)
+    hypotheses = posterior(evidence, evaluated, observed)
     statements = _statements(hypotheses)
     faults, free = max(statements, key=lambda names: round(statements[names], 2))  # first: fewest forms
     leader = max(hypotheses, key=lambda h: _shares(h).get((faults, free), 0.0))
@@ -70,16 +70,16 @@ def compare(
 
 
 def posterior(
-    evidence: Evidence, found: Sequence[EvaluatedHypothesis], observed: Observed | None = None
+    evidence: Evidence, evaluated: Sequence[EvaluatedHypothesis], observed: Observed | None = None
 ) -> list[Hypothesis]:
     """Return hypotheses with their probabilities, likeliest first."""
     nothing = evidence.null_hypothesis
-    log = np.array([e.log_evidence for e in found])
+    log = np.array([e.log_evidence for e in evaluated])
     alone = nothing.log_evidence
     if observed is not None:
-        log += [observed(evidence, e) for e in found]
+        log += [observed(evidence, e) for e in evaluated]
         alone += observed(evidence, nothing)
-    priors = [_priors(evidence, e) for e in found]
+    priors = [_priors(evidence, e) for e in evaluated]
     highest = max(log_evidence + max(prior.values()) for log_evidence, prior in zip(log, priors, strict=True))
     weights = [
         {faults: float(np.exp(log_evidence + prior - highest)) for faults, prior in each.items()}
@@ -97,7 +97,7 @@ def posterior(
             1 - float(e.unexplained.sum()) / before,
             float(e.scales.max()),
         )
-        for e, factor, each in zip(found, log - alone, weights, strict=True)
+        for e, factor, each in zip(evaluated, log - alone, weights, strict=True)
     ]
     # of equals the effect that has fewer forms to choose from
     return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.effect_keys))))

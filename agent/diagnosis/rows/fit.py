@@ -82,9 +82,9 @@ class Fit:
             self.gram[:, span, keep] = np.swapaxes(cross, 1, 2)
             self.gram[:, span, span] = own
             for other, other_span in zip(self.chosen[:number], spans[:number], strict=True):
-                (both,) = self._moments.between(other, [candidate])
-                self.gram[:, other_span, span] = both
-                self.gram[:, span, other_span] = np.swapaxes(both, 1, 2)
+                (cross_moments,) = self._moments.between(other, [candidate])
+                self.gram[:, other_span, span] = cross_moments
+                self.gram[:, span, other_span] = np.swapaxes(cross_moments, 1, 2)
             self.prior[span, span] = self.ridge(candidate, own.sum(axis=0).diagonal())
         self._padded_information = np.zeros(size)
         self._padded_information[:base] = self.prior_information
@@ -109,9 +109,9 @@ class Fit:
         """The same data without effects, and with another prior precision (p, p) of the model's parameters."""
         return self.with_chosen(precision=precision)
 
-    def with_residual(self, left: np.ndarray) -> Fit:
-        """The same motions without effects, and with (S', n) over `sigma` left of the torque; candidates are kept."""
-        rows = [np.column_stack([rows[:, :-1], residual]) for rows, residual in zip(self.rows, left.T, strict=True)]
+    def with_residual(self, residual: np.ndarray) -> Fit:
+        """The same motions without effects, and with another residual (S', n) over `sigma`; candidates are kept."""
+        rows = [np.column_stack([rows[:, :-1], column]) for rows, column in zip(self.rows, residual.T, strict=True)]
         return self.with_chosen(rows=rows, _moments=self._moments.with_residual(rows))
 
     def with_noise(self, moving: np.ndarray) -> Fit:
@@ -149,8 +149,8 @@ class Fit:
     def with_reference(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""
         loads = [signals.reference.payload for signals in self.signals]
-        seen = [reference if load is None else NominalModel(reference.model, load) for load in loads]
-        signals = [replace(of_motion, reference=new) for of_motion, new in zip(self.signals, seen, strict=True)]
+        references = [reference if load is None else NominalModel(reference.model, load) for load in loads]
+        signals = [replace(of_motion, reference=new) for of_motion, new in zip(self.signals, references, strict=True)]
         return self.with_chosen(reference=reference, signals=signals, _made={})
 
     def rows_of(self, number: int) -> slice:
@@ -161,11 +161,11 @@ class Fit:
 
     def of_log(self, number: int, precision: np.ndarray) -> Fit:
         """One log alone, without effects, and with another prior precision (p, p) of the model's parameters."""
-        here, nothing = self.rows_of(number), np.zeros(len(self.precision))
-        rows, sigma, block = [rows[here] for rows in self.rows], self.sigma[here], self.block[here]
+        log_rows, no_information = self.rows_of(number), np.zeros(len(self.precision))
+        rows, sigma, block = [rows[log_rows] for rows in self.rows], self.sigma[log_rows], self.block[log_rows]
         signals = [of_motion for of_motion in self.signals if of_motion.log_index == number]
         cell = np.zeros(len(sigma), dtype=int)
-        return Fit(self.reference, signals, rows, self.index, sigma, precision, nothing, cell, block, [], [])
+        return Fit(self.reference, signals, rows, self.index, sigma, precision, no_information, cell, block, [], [])
 
     @property
     def sigmas(self) -> list[np.ndarray]:
@@ -293,7 +293,7 @@ class Fit:
     def fit(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> np.ndarray:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
         candidate = self.candidate(effect, joints, settings)
-        inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
+        inverse, without_it = self.solve(np.ones(self.cells, dtype=bool))
         ((cross, own),) = self._moments.of([candidate])
         others = [self._moments.between(other, [candidate])[0] for other in self.chosen]
         *known, side = (
@@ -305,24 +305,24 @@ class Fit:
         )
         unit = 1 / np.sqrt(np.maximum(schur.diagonal(), 1e-300))
         candidate.release()
-        return np.asarray(unit * np.linalg.solve(schur * np.outer(unit, unit), unit * (side - known.T @ alone)))
+        return np.asarray(unit * np.linalg.solve(schur * np.outer(unit, unit), unit * (side - known.T @ without_it)))
 
     def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).
 
         Model and chosen effects adapt; all rows are fitted and none held out, so this only picks what to try.
         """
-        inverse, alone = self.solve(np.ones(self.cells, dtype=bool))
+        inverse, without_it = self.solve(np.ones(self.cells, dtype=bool))
         block = self.rests.whitened(joint, columns / self.sigma[:, joint, None])
-        rows, twice = self.rows[joint], self.rests.whitened(joint, block)  # as its transpose whitens alike
+        rows, whitened_twice = self.rows[joint], self.rests.whitened(joint, block)  # as its transpose whitens alike
         cross = np.zeros((self.size, block.shape[1]))
-        cross[self.index[joint]] = rows[:, :-1].T @ twice
+        cross[self.index[joint]] = rows[:, :-1].T @ whitened_twice
         at = len(self.precision)
         for candidate in self.chosen:
             if joint in candidate.blocks:
-                cross[at : at + len(candidate.names)] = candidate.blocks[joint].T @ twice
+                cross[at : at + len(candidate.names)] = candidate.blocks[joint].T @ whitened_twice
             at += len(candidate.names)
-        side = (twice.T @ rows[:, -1] - cross.T @ alone) / self.rows_per_independent
+        side = (whitened_twice.T @ rows[:, -1] - cross.T @ without_it) / self.rows_per_independent
         energy = np.sum(block**2, axis=0) / self.rows_per_independent
         schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.rows_per_independent**2
         schur = np.maximum(schur, 1e-6 * energy + 1e-12)

@@ -36,19 +36,19 @@ def _motions(time: np.ndarray, log: np.ndarray, logs: Sequence[Log]) -> tuple[np
     log in which some joint moves: no other could tell of what that joint has."""
     group = np.full(len(time), -1)
     names: list[str] = []
-    alone = _alone(logs)
+    only_movers = _only_movers(logs)
     for number, entry in enumerate(logs):
         here = log == number
-        borders = part_borders(entry, 2 if number in alone else 1)
+        borders = part_borders(entry, 2 if number in only_movers else 1)
         since = time[here]
-        near = np.any(np.abs(since[:, None] - borders) < 2 * LIMITS.row_correlation_time, axis=1)
-        group[here] = np.where(near, -1, len(names) + np.searchsorted(borders, since))
+        guard = np.any(np.abs(since[:, None] - borders) < 2 * LIMITS.row_correlation_time, axis=1)
+        group[here] = np.where(guard, -1, len(names) + np.searchsorted(borders, since))
         edges = [0.0, *borders, float(entry.t[-1])]
         names += [f"{entry.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)] if len(borders) else [entry.name]
     return group, names
 
 
-def _alone(logs: Sequence[Log]) -> set[int]:
+def _only_movers(logs: Sequence[Log]) -> set[int]:
     """Logs, by number, that are the only ones in which some joint moves, of several."""
     travel = np.array([np.ptp(entry.position, axis=0) for entry in logs])  # (logs, n)
     moves = travel > LIMITS.negligible * travel.max(axis=0)
@@ -58,14 +58,14 @@ def _alone(logs: Sequence[Log]) -> set[int]:
 def part_borders(log: Log, least: int = 1) -> np.ndarray:
     """(parts - 1,) [s] between the parts of a log that says it has some, or the `least` that it is to have: all have
     the same time in motion."""
-    said = log.metadata.get(PARTS, "1")
-    parts = max(min(int(said), LIMITS.blocks) if said.isdigit() else 1, least)
+    stated_parts = log.metadata.get(PARTS, "1")
+    parts = max(min(int(stated_parts), LIMITS.blocks) if stated_parts.isdigit() else 1, least)
     if parts < 2:
         return np.empty(0)
     speed = np.abs(np.diff(log.position, axis=0))
     moves = np.any(speed > LIMITS.negligible * speed.max(axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(moves * np.diff(log.t))])
-    return np.interp(way[-1] * np.arange(1, parts) / parts, way, log.t)
+    moving_time = np.concatenate([[0.0], np.cumsum(moves * np.diff(log.t))])
+    return np.interp(moving_time[-1] * np.arange(1, parts) / parts, moving_time, log.t)
 
 
 def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
@@ -83,10 +83,10 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
     else:
         borders = np.linspace(first, last, LIMITS.blocks + 1)[1:-1]
     group = np.searchsorted(borders, time)
-    near = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < 2 * LIMITS.row_correlation_time
+    guard = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < 2 * LIMITS.row_correlation_time
     edges = [first, *borders, last]
     names = [f"{log.name} {a:.1f}-{b:.1f} s" for a, b in pairwise(edges)]
-    return np.where(near, -1, group), names
+    return np.where(guard, -1, group), names
 
 
 def segments_of(time: np.ndarray, log: np.ndarray, logs: Sequence[Log], lasting: float) -> np.ndarray:

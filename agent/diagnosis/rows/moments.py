@@ -40,13 +40,13 @@ class FitMoments:
         self._rows = [self._sorted(joint, block) for joint, block in enumerate(rows)]
         self.gram = np.zeros((cells, parameters + 1, parameters + 1))
         for block, columns in zip(self._rows, self._index, strict=True):
-            place = np.append(columns, parameters)
+            at = np.append(columns, parameters)
             for number, part in enumerate(self._slices):
-                self.gram[number][np.ix_(place, place)] += block[part].T @ block[part]
+                self.gram[number][np.ix_(at, at)] += block[part].T @ block[part]
         self.count = np.array([part.stop - part.start for part in self._slices]) * len(rows)
         self._known: dict[Candidate, tuple[np.ndarray, np.ndarray]] = {}
-        self._beside: FitMoments | None = None
-        self._both: dict[tuple[Candidate, Candidate], np.ndarray] = {}
+        self._same_columns: FitMoments | None = None
+        self._between: dict[tuple[Candidate, Candidate], np.ndarray] = {}
 
     def _sorted(self, joint: int, block: np.ndarray) -> np.ndarray:
         """Rows (S', k) whitened, and those of a cell together."""
@@ -56,7 +56,7 @@ class FitMoments:
         """Of the same columns with another residual: what is known of the columns is not worked out again."""
         other = copy(self)
         other._rows = [self._sorted(joint, block) for joint, block in enumerate(rows)]
-        other._known, other._beside, other.gram = {}, self, self.gram.copy()
+        other._known, other._same_columns, other.gram = {}, self, self.gram.copy()
         last = self._base
         other.gram[:, last, :] = other.gram[:, :, last] = 0.0
         for block, columns in zip(other._rows, self._index, strict=True):
@@ -70,28 +70,28 @@ class FitMoments:
     def of(self, candidates: Sequence[Candidate]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Per candidate its moments (cells, p + 1, k) with columns and residual, and its own (cells, k, k); kept."""
         new = [c for c in candidates if c not in self._known]
-        if self._beside is not None:
-            pairs = zip(new, self._beside.of(new), strict=True)
-            self._known.update({c: (self._seen(c, cross), own) for c, (cross, own) in pairs})
+        if self._same_columns is not None:
+            pairs = zip(new, self._same_columns.of(new), strict=True)
+            self._known.update({c: (self._with_this_residual(c, cross), own) for c, (cross, own) in pairs})
             new = []
         for first in range(0, len(new), _AT_ONCE):
-            self._work_out(new[first : first + _AT_ONCE])
+            self._compute(new[first : first + _AT_ONCE])
         return [self._known[c] for c in candidates]
 
     def between(self, first: Candidate, others: Sequence[Candidate]) -> list[np.ndarray]:
         """Per candidate (cells, k, l): moments of the first with it; kept."""
-        new = [c for c in others if (first, c) not in self._both]
-        mine = {joint: self._sorted(joint, block) for joint, block in first.blocks.items()} if new else {}
+        new = [c for c in others if (first, c) not in self._between]
+        first_rows = {joint: self._sorted(joint, block) for joint, block in first.blocks.items()} if new else {}
         for second in new:
             total = np.zeros((self.cells, len(first.names), len(second.names)))
             for joint in first.blocks.keys() & second.blocks.keys():
                 block = self._sorted(joint, second.blocks[joint])
                 for cell, part in enumerate(self._slices):
-                    total[cell] += mine[joint][part].T @ block[part]
-            self._both[first, second] = total
-        return [self._both[first, c] for c in others]
+                    total[cell] += first_rows[joint][part].T @ block[part]
+            self._between[first, second] = total
+        return [self._between[first, c] for c in others]
 
-    def _seen(self, candidate: Candidate, cross: np.ndarray) -> np.ndarray:
+    def _with_this_residual(self, candidate: Candidate, cross: np.ndarray) -> np.ndarray:
         """Moments (cells, p + 1, k) with this residual, from those with another."""
         cross = cross.copy()
         cross[:, self._base] = 0.0
@@ -101,19 +101,19 @@ class FitMoments:
                 cross[cell, self._base] += self._rows[joint][part, -1] @ columns[part]
         return cross
 
-    def _work_out(self, some: Sequence[Candidate]) -> None:
-        cross = [np.zeros((self.cells, self._base + 1, len(c.names))) for c in some]
-        own = [np.zeros((self.cells, len(c.names), len(c.names))) for c in some]
+    def _compute(self, candidates: Sequence[Candidate]) -> None:
+        cross = [np.zeros((self.cells, self._base + 1, len(c.names))) for c in candidates]
+        own = [np.zeros((self.cells, len(c.names), len(c.names))) for c in candidates]
         for joint, (block, index) in enumerate(zip(self._rows, self._index, strict=True)):
-            here = [k for k, c in enumerate(some) if joint in c.blocks]
-            if not here:
+            on_joint = [k for k, c in enumerate(candidates) if joint in c.blocks]
+            if not on_joint:
                 continue
-            place = np.append(index, self._base)
-            together = self._sorted(joint, np.hstack([some[k].blocks[joint] for k in here]))
-            ends = np.cumsum([0, *(some[k].blocks[joint].shape[1] for k in here)])
+            at = np.append(index, self._base)
+            together = self._sorted(joint, np.hstack([candidates[k].blocks[joint] for k in on_joint]))
+            ends = np.cumsum([0, *(candidates[k].blocks[joint].shape[1] for k in on_joint)])
             for cell, part in enumerate(self._slices):
                 product = block[part].T @ together[part]
-                for k, (a, b) in zip(here, pairwise(ends), strict=True):
-                    cross[k][cell][place] += product[:, a:b]
+                for k, (a, b) in zip(on_joint, pairwise(ends), strict=True):
+                    cross[k][cell][at] += product[:, a:b]
                     own[k][cell] += together[part, a:b].T @ together[part, a:b]
-        self._known.update(zip(some, zip(cross, own, strict=True), strict=True))
+        self._known.update(zip(candidates, zip(cross, own, strict=True), strict=True))

@@ -222,9 +222,9 @@ def _search_with(
         selected = searched.keeping(hunting, leaves_gap=True)
     selected, gap = keep_supported(moved, selected, unit)
     large = [k for k in range(len(selected.causes)) if _exceeds_expected_error(moved, selected, gap, k)]
-    kept = [k for k in large if _possible(model, selected.fit, k)]
-    if len(kept) < len(selected.causes):
-        selected = selected.keeping(kept) if kept else selected.without_causes(leaves_gap=bool(large))
+    possible = [k for k in large if _possible(model, selected.fit, k)]
+    if len(possible) < len(selected.causes):
+        selected = selected.keeping(possible) if possible else selected.without_causes(leaves_gap=bool(large))
         selected, gap = keep_supported(moved, selected, unit)
     return Explanation(released, search, selected, gap)
 
