@@ -8,13 +8,13 @@ from .forward.windows import (
     forward_warning as forward_warning,
 )
 from .gap.drives_off import channel_zero as channel_zero
-from .gap.held_torque import SAME_MOTIONS as SAME_MOTIONS
 from .gap.regime_shares import (
     BANDS as BANDS,
     band_shares as band_shares,
     masks as masks,
     motor_phase_share as motor_phase_share,
 )
+from .gap.stuck_torque import SAME_MOTIONS as SAME_MOTIONS
 from .hypotheses.evidence import Evidence as Evidence
 from .hypotheses.healthy import with_healthy_effects as with_healthy_effects
 from .hypotheses.law import LAW as LAW

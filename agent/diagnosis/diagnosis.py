@@ -20,9 +20,9 @@ from agent.diagnosis.document import (
     TorqueGap,
 )
 from agent.diagnosis.gap.adequacy import remainders
-from agent.diagnosis.gap.held_torque import HeldTorque
 from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regime_shares import regimes, share_intervals
+from agent.diagnosis.gap.stuck_torque import StuckTorque
 from agent.diagnosis.gap.torque_gap import HeldOutGap
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.hypotheses.testability import not_testable, power, smallest_sizes
@@ -47,8 +47,7 @@ LARGE_ERROR = "times the model's own"
 class Diagnosis:
     """Everything a report shows: the document, the finding, the data, and the gaps of torque and path.
 
-    `released`: of a simulator's file, what of its numbers was moved; `held`: a torque that stands still where most of
-    the gap is.
+    `released`: of a simulator's file, what of its numbers was moved; `stuck_torque`: where most of the gap is.
     """
 
     document: DiagnosisResult
@@ -57,7 +56,7 @@ class Diagnosis:
     motion: MotionGap | None
     gap: HeldOutGap
     released: ReleasedSimulator | None = None
-    held: HeldTorque | None = None
+    stuck_torque: StuckTorque | None = None
 
     @property
     def verdict(self) -> str:
@@ -84,11 +83,11 @@ def build(
     verdict: Verdict,
     motion: MotionGap | None,
     warnings: Sequence[str],
-    held: HeldTorque | None = None,
+    stuck_torque: StuckTorque | None = None,
 ) -> Diagnosis:
     """Write down a verdict: figures of the gap of the model as given, shares, regimes and what is not testable.
 
-    `held`: the torque that stands still where most of the gap is.
+    `stuck_torque`: the torque that stands still where most of the gap is.
     """
     dataset, selected, gap = explanation.dataset, explanation.selected, explanation.as_given
     closure = gap.closure if explanation.of_file and gap.closure is not None else verdict.closure
@@ -110,10 +109,10 @@ def build(
         causes,
         tuple(not_testable(dataset, explanation.search, smallest)),
         next_experiment(causes, verdict.name, where, selected.zero_known, bool(dataset.open_joints.any()))
-        if held is None
-        else NextExperiment((), held.motion),
+        if stuck_torque is None
+        else NextExperiment((), stuck_torque.motion),
         _folds(dataset),
-        (*(() if held is None else (held.text,)), *warnings, *_warnings(explanation, verdict)),
+        (*(() if stuck_torque is None else (stuck_torque.text,)), *warnings, *_warnings(explanation, verdict)),
         explanation.steps,
         tuple(
             Rejected(effect, tuple(dataset.robot.joint_names[j] for j in joints), why)
@@ -127,7 +126,7 @@ def build(
         **({} if dataset.servos is None else servo_table(explanation)),
     )
     return Diagnosis(
-        document, selected, dataset, motion, gap, explanation.released if explanation.of_file else None, held
+        document, selected, dataset, motion, gap, explanation.released if explanation.of_file else None, stuck_torque
     )
 
 

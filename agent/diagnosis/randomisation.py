@@ -41,7 +41,7 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
         return ()
     fit, released = diagnosis.selected.fit, diagnosis.released
     model, robot, arm = diagnosis.dataset.model, diagnosis.dataset.robot, correction.arm
-    p, b = len(diagnosis.dataset.held), len(model.independent)
+    p, b = len(diagnosis.dataset.stored_covariance), len(model.independent)
     change = fit.fitted()[0]
     groups = [*released.groups]
     groups += [group for group in groups_of(released.given) if (group.kind, group.joint) not in released.parts]

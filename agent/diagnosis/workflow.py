@@ -12,8 +12,8 @@ from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
 from agent.diagnosis.gap.adequacy import errs_beyond_chance, explained_part
 from agent.diagnosis.gap.drives_off import ChannelZero, channel_zero, zero_likelihood, zero_remarks
-from agent.diagnosis.gap.held_torque import HeldTorque, held_torque
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
+from agent.diagnosis.gap.stuck_torque import StuckTorque, stuck_torque
 from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path
@@ -96,14 +96,14 @@ def _explain_torque(
     without: Sequence[str],
     progress: Callable[[str], None],
     zero: ChannelZero | None,
-) -> tuple[Explanation, HeldTorque | None]:
+) -> tuple[Explanation, StuckTorque | None]:
     """The causes of a gap in torque; none where a channel stands still, which is returned too."""
     observed = None if zero is None else zero_likelihood(zero, dataset.model)
     healthy = None if model is None else healthy_on(dataset.fit, model, without)
     search = Search(dataset.fit, without, progress, observed=observed, healthy=healthy)
     searched = search.run()
     selected = replace(name_causes(searched, errs_beyond_chance(dataset, searched)), zero_known=zero is not None)
-    if (stuck := held_torque(dataset, selected.fit)) is not None:
+    if (stuck := stuck_torque(dataset, selected.fit)) is not None:
         selected = selected.without_causes(leaves_gap=True)
     return Explanation(ReleasedSimulator(dataset, dataset, ()), search, *keep_supported(dataset, selected)), stuck
 

@@ -125,8 +125,8 @@ def plan_motion(
     if not pairs:
         return _nothing_to_separate(diagnosis)
     names = tuple(sorted({name for pair in pairs for name in pair.names if name != "none"}))
-    if diagnosis.held is not None:
-        return NoMotion(diagnosis.held.motion, names)
+    if diagnosis.stuck_torque is not None:
+        return NoMotion(diagnosis.stuck_torque.motion, names)
     deadline = deadline or Deadline(console.progress)
     problem = _where_known(replace(problem, load=load), diagnosis)
     limits = None if load is None else torque_limits(recipe, load, console)

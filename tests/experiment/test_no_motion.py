@@ -46,7 +46,7 @@ def ask(tmp_path: Path, monkeypatch):
     def run(experiments, seconds=LONGEST, change=lambda text: text, held=None, second=RIVAL):
         recipe = load_recipe(write_atomically(tmp_path / "job.yaml", change(template())))
         found = SimpleNamespace(
-            held=held,
+            stuck_torque=held,
             selected=SimpleNamespace(zero_known=False),
             dataset=SimpleNamespace(
                 robot=recipe.robot,

@@ -121,7 +121,7 @@ def _side(diagnosis: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | N
 def _right(diagnosis: Diagnosis, first: _Side, second: _Side, information: np.ndarray) -> float:
     """Probability that the right one of a pair leads by as much as a rival may not."""
     assert diagnosis.released is not None
-    p, size = len(diagnosis.dataset.held), len(information)
+    p, size = len(diagnosis.dataset.stored_covariance), len(information)
     place = {side: len(side.form.names) if side.form is not None else 0 for side in (first, second)}
     true, columns, prior = np.zeros(size), [], []
     if first.form is None:

@@ -55,7 +55,7 @@ class Dataset:
     servos: ServoParameters | None = None
 
     @property
-    def held(self) -> np.ndarray:
+    def stored_covariance(self) -> np.ndarray:
         """(p, p) covariance of the parameters as they were given."""
         return self.model.covariance if self.servos is None else self.servos.covariance
 

@@ -94,13 +94,15 @@ def stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Ca
     as ratios to it.
     """
     fit = dataset.fit.with_chosen(causes)
-    least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.held)
+    least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.stored_covariance)
     parts = [(fold.train, fit.gram[fold.test].sum(axis=0)) for fold in fit.folds]
     known = [(fit.gram[train].sum(axis=0) / fit.rows_per_independent, test) for train, test in parts]
 
     def error(groups: Sequence[Group]) -> float:
         prior = fit.prior.copy()
-        prior[:p, :p] = precision_of(dataset.held + sum(group.directions @ group.directions.T for group in groups))
+        prior[:p, :p] = precision_of(
+            dataset.stored_covariance + sum(group.directions @ group.directions.T for group in groups)
+        )
         total = 0.0
         for train, test in known:
             matrix = train[:-1, :-1] + prior
@@ -151,7 +153,7 @@ def _with_released(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulat
 
 def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
     """The rows with groups of numbers released."""
-    covariance = dataset.held + sum(group.directions @ group.directions.T for group in groups)
+    covariance = dataset.stored_covariance + sum(group.directions @ group.directions.T for group in groups)
     return dataset.fit.with_prior(precision_of(covariance))
 
 

@@ -17,7 +17,7 @@ from agent.diagnosis.rows.dataset import precision_of
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, released_fit
 
-_HELD = 1e-6  # of the stored covariance: the model's parameters stay where they are
+_FIXED = 1e-6  # of the stored covariance: the model's parameters stay where they are
 #: The remaining gap, as the last step.
 REMAINDER = "remainder"
 OWN_PARAMETERS = "the model's own parameters"
@@ -41,7 +41,7 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
     texts = [group.text(names) for group in released.groups]
     plain, moved = dataset.fit, dataset.fit.with_chosen(selected.causes)
     if not released.groups and dataset.has_reference:  # a model fitted to the same logs has no own numbers to keep
-        held = plain.with_prior(precision_of(_HELD * dataset.held))
+        held = plain.with_prior(precision_of(_FIXED * dataset.stored_covariance))
         by_effects, by_both = (_absorbed(gap, fit) for fit in (held.with_chosen(selected.causes), moved))
         plain = held if by_both - by_effects >= LIMITS.least_share else plain
     last = fits[-1] if fits else plain

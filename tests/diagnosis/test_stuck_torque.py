@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agent.diagnosis import Diagnosis, diagnose
-from agent.diagnosis.gap.held_torque import held_torque
+from agent.diagnosis.gap.stuck_torque import stuck_torque
 from agent.diagnosis.rows.dataset import assemble
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
@@ -134,7 +134,7 @@ def test_reports_a_held_torque_on_a_real_arm(shared_data, joint):
 def test_a_constant_torque_is_tolerated_if_no_joint_has_a_gap(robot, model):
     """Some rows have energy over the noise model, but no joint has any as a whole."""
     dataset = assemble(robot, model, _logs(robot, _holding), None)
-    assert held_torque(dataset, dataset.fit) is not None
+    assert stuck_torque(dataset, dataset.fit) is not None
     wide = dataset.fit.with_chosen(sigma=5 * dataset.fit.sigma)  # of a model that errs by 1 % of nominal everywhere
     some = np.where(np.abs(dataset.residual) > 10 * dataset.fit.sigma, 2.5, 0.0) * wide.sigma
-    assert held_torque(replace(dataset, fit=wide, residual=some), wide) is None
+    assert stuck_torque(replace(dataset, fit=wide, residual=some), wide) is None

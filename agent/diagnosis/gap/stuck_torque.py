@@ -26,7 +26,7 @@ SAME_MOTIONS = "the same motions"  # to record again
 
 
 @dataclass(frozen=True)
-class HeldTorque:
+class StuckTorque:
     """Stretches in which a joint's torque was constant although it should have changed: their count, longest duration
     [s], torque [N·m] if always the same, and share of the arm's whole gap (energy over the noise model)."""
 
@@ -55,7 +55,7 @@ class HeldTorque:
         return f"{SAME_MOTIONS} again, after you repair the torque measurement of {self.joint}"
 
 
-def held_torque(dataset: Dataset, fitted: Fit) -> HeldTorque | None:
+def stuck_torque(dataset: Dataset, fitted: Fit) -> StuckTorque | None:
     """The joint whose torque stands still where most of the gap is; None where none does, or there is hardly a gap.
 
     It should change where the model and the effects of `fitted` say so: a coupled axis may leave a motor at one speed.
@@ -74,7 +74,7 @@ def held_torque(dataset: Dataset, fitted: Fit) -> HeldTorque | None:
         s.low_pass(s.predicted) + known_effects(dataset.model, s) + more
         for s, more in zip(fit.signals, np.split(effects, fit.cuts), strict=True)
     ]
-    largest: HeldTorque | None = None
+    largest: StuckTorque | None = None
     for joint, name in enumerate(dataset.robot.joint_names):
         background = float(fit.sigma[:, joint].min())
         by_model = [torque[:, joint] for torque in predicted]
@@ -102,11 +102,11 @@ class _Stretch:
     energy: float
 
 
-def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> HeldTorque:
+def _held(joint: str, stretches: Sequence[_Stretch], share: float) -> StuckTorque:
     """Text about the stretches that matter."""
     at_limit = all(stretch.below < LIMITS.negligible * stretch.size for stretch in stretches)
     limit = float(np.median([stretch.size for stretch in stretches])) if at_limit else None
-    return HeldTorque(joint, len(stretches), max(stretch.duration for stretch in stretches), limit, share)
+    return StuckTorque(joint, len(stretches), max(stretch.duration for stretch in stretches), limit, share)
 
 
 def _of_joint(
