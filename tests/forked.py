@@ -19,6 +19,7 @@ from collections.abc import Iterator
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -74,12 +75,13 @@ class _Forks:
 
     def _hear(self, fork: _Fork) -> None:
         try:
-            name, arguments = fork.link.recv()
-        except (EOFError, ConnectionError):
+            self._handle(fork, *fork.link.recv())
+        except (EOFError, OSError):
             self._ended(fork)
-            return
+
+    def _handle(self, fork: _Fork, name: str, arguments: Any) -> None:
         if name == "next":
-            fork.file = self._taken(fork) if self._waiting else []
+            fork.file = self._next_file(fork) if self._waiting else []
             fork.link.send(fork.file)
         elif name == "ended":
             fork.file = fork.file[1:]
@@ -89,7 +91,7 @@ class _Forks:
             report = self._hook.pytest_report_from_serializable(config=self._session.config, data=arguments)
             self._hook.pytest_runtest_logreport(report=report)
 
-    def _taken(self, fork: _Fork) -> _File:
+    def _next_file(self, fork: _Fork) -> _File:
         """A file of the folder where a process is, else of one where none is, else any."""
         busy = {other.folder for other in self._running.values()}
 
