@@ -38,7 +38,8 @@ def synthetic_fit(given: bool = True, method: str = "weighted", guard: int = 9) 
     rng, units = np.random.default_rng(5), np.array([1.0, 0.02, 0.5, 3.0, 10.0])
     terms = [SimpleNamespace(form=form) for form in ("coulomb", "viscous", "offset")]
     values = np.array([2.0, 3.0, 8.0, 0.0, 1.0])
-    model = SimpleNamespace(terms=terms, independent=["a", "b"], values=values, method=method)
+    own = {"independent": ["a", "b"], "noise_share": np.array([0.6, 1.0])}
+    model = SimpleNamespace(terms=terms, values=values, method=method, **own)
     robot = SimpleNamespace(max_velocity=np.array([2.0, 3.0]), dof=2)
     reference: Any = SimpleNamespace(robot=robot, scale=NOMINAL, model=model, payload=None, coupling=np.eye(2))
     signals = []

@@ -231,6 +231,7 @@ class IdentifiedModel(RigidFrictionModel):
             "group_rmse": None if self.group_rmse is None else self.group_rmse.tolist(),
             "standstill_speed": None if self.standstill_speed is None else self.standstill_speed.tolist(),
             "sliding_rmse": None if self.sliding_rmse is None else self.sliding_rmse.tolist(),
+            "noise_share": None if self.noise_share is None else self.noise_share.tolist(),
             "condition_number": self.condition_number if np.isfinite(self.condition_number) else None,
             "prior": None if self.prior is None else {key: array.tolist() for key, array in vars(self.prior).items()},
             "notes": list(self.notes),
@@ -310,6 +311,7 @@ class IdentifiedModel(RigidFrictionModel):
             group_rmse=_optional(data, "group_rmse"),
             standstill_speed=_optional(data, "standstill_speed"),
             sliding_rmse=_optional(data, "sliding_rmse"),
+            noise_share=_optional(data, "noise_share"),
             prior=_prior(data.get("prior")),
             notes=tuple(data["notes"]),
             effects=tuple(

@@ -99,6 +99,7 @@ class ModelDocument(_Part):
     group_rmse: list[list[_Size]] | None = None
     standstill_speed: list[_Size] | None = None
     sliding_rmse: list[_Size] | None = None
+    noise_share: list[_Size] | None = None
     condition_number: float | None
     prior: _Prior | None = None
     notes: list[str]
@@ -129,6 +130,7 @@ def check_model(model: RigidFrictionModel) -> None:
         "group_rmse": (model.group_rmse, (2, n)),
         "standstill_speed": (model.standstill_speed, (n,)),
         "sliding_rmse": (model.sliding_rmse, (n,)),
+        "noise_share": (model.noise_share, (n,)),
         **({} if model.prior is None else {f"prior.{key}": (array, (p,)) for key, array in vars(model.prior).items()}),
     }
     if (model.group_rmse is None) != (model.standstill_speed is None):

@@ -68,10 +68,11 @@ class RigidFrictionModel:
     `residual_rmse` and `held_out_rmse` (n,) [N·m] are of the fit and of its cross-validation, standstill included;
     `weights` (2, n) are the fit's, in motion and at standstill; `group_rmse` (2, n) is the held-out RMSE of the same
     groups, and `standstill_speed` (n,) up to which a joint stands still (None in older files); `sliding_rmse` (n,) is
-    that of logs left out, without what is near a standstill (None where nobody looked); `cutoff` [Hz] and `order` are
-    the filter's; `standard` (10 n + n,) are physical inertial parameters behind the base parameters, where
-    the method found them; `prior` is None where the method has none, and in older files; `healthy` is what held-out
-    motions show of the catalogue's effects without any fault.
+    that of logs left out, without what is near a standstill, and `noise_share` (n,) the part of its square that no
+    smooth function explains (both None where nobody looked); `cutoff` [Hz] and `order` are the filter's; `standard`
+    (10 n + n,) are physical inertial parameters behind the base parameters, where the method found them; `prior` is
+    None where the method has none, and in older files; `healthy` is what held-out motions show of the catalogue's
+    effects without any fault.
     """
 
     robot: RobotDescription
@@ -93,6 +94,7 @@ class RigidFrictionModel:
     group_rmse: np.ndarray | None = None
     standstill_speed: np.ndarray | None = None
     sliding_rmse: np.ndarray | None = None
+    noise_share: np.ndarray | None = None
     prior: ParameterPrior | None = None
     notes: tuple[str, ...] = ()
     effects: tuple[ModelEffect, ...] = ()

@@ -27,6 +27,7 @@ class Model:
     robot: Any = field(default_factory=lambda: ROBOT)
     cutoff: float = 12.0
     sliding_rmse: Any = None
+    noise_share: Any = None
     healthy: tuple[HealthyEffect, ...] = ()
 
 
@@ -167,7 +168,7 @@ def test_only_the_first_half_minute_of_a_log_is_looked_at(monkeypatch):
     def log(last):
         return SimpleNamespace(t=np.array([5.0, 6.0, last]), between=lambda *times: SimpleNamespace(t=np.array(times)))
 
-    seen, nothing = [], SimpleNamespace(gains=np.empty(0))
+    seen, nothing = [], SimpleNamespace(gains=np.empty(0), noise_share=np.ones(2))
     monkeypatch.setattr(healthy, "_judged", lambda model, logs: ([1.0], [], (seen.extend(logs), [nothing])[1]))
     assert healthy.with_healthy_effects(Model(), [log(70.0)], [log(35.0), log(35.1)]).healthy == ()
     assert [one.t.tolist() for one in seen] == [[5.0, 6.0, 35.0], [5.0, 35.0]]

@@ -56,15 +56,16 @@ class Written:
         self.rest = whole[..., -1].ravel() - self.columns @ self.start
         parts = [[getattr(s, name)[s.kept] for s in fit.signals] for name in ("time", "q", "qd", "qdd")]
         time, *motion = (np.concatenate(part)[::STEP] for part in parts)
-        self.common, self.of_log = [], []
+        self.common, self.of_log, self.share = [], [], []
         for j, sigma in enumerate(self.sigma):
             smooth = smooth_columns(*(part[:, j] for part in motion), time, self.log) * (self.base[j] / sigma)[:, None]
             usual = [k for k, form in enumerate(forms) if form.effect.usual and healthy is None]
             self.common.append(np.hstack([smooth, *(self.base[j] * self.alike(k, j) for k in usual)]))
             alone = learned * whole[j, :, :5] @ covariance @ whole[j, :, :5].T
-            for one in healthy or ():
-                block = self.effects[forms.index(one.candidate)][j] * one.amount
-                alone = alone + block @ block.T
+            blocks = [self.effects[forms.index(one.candidate)][j] * one.amount for one in healthy or ()]
+            energy = [np.sum(block**2) for block in blocks]  # of what they have together, no more than the largest
+            self.share.append(np.sqrt(max(energy, default=0) / max(sum(energy), 1e-9)))
+            alone = alone + sum(block @ block.T for block in blocks) * self.share[j] ** 2
             self.of_log.append(alone * (self.log[:, None] == self.log))
 
     def alike(self, number: int, joint: int) -> np.ndarray:
@@ -93,7 +94,7 @@ class Written:
         """(2 S, 2 S) covariance of errors and noise model."""
         unit, found = NOMINAL / self.base, np.zeros((2, ROWS, 2, ROWS))
         for j, (common, of_log) in enumerate(zip(self.common, self.of_log, strict=True)):
-            known = max(scales[j], 1) if self.learned else scales[j]
+            known = max(scales[j], self.fit.reference.model.noise_share[j]) if self.learned else scales[j]
             variance = known * THE_LAW.systematic**2 + (THE_LAW.drift * unit[j]) ** 2
             variance += THE_LAW.form**2 * form[j]
             variance += ((free or {}).get(j, 0.0) * unit[j]) ** 2
@@ -298,7 +299,8 @@ def test_a_large_gap_adds_its_own_size_to_the_usual_ones(case):
     for place, size in evidence.usual.items():
         (k,) = (k for k, form in enumerate(written.forms) if form.key == place)
         amount = np.linspace(0.05, 0.1, written.size[k].shape[1])
-        assert size == pytest.approx(np.max(np.linalg.norm(amount * written.size[k], axis=1) / NOMINAL), rel=1e-4)
+        torque = np.linalg.norm(amount * written.size[k], axis=1) / NOMINAL * written.share
+        assert size == pytest.approx(np.max(torque), rel=1e-4)
     left = np.stack([rows[:, -1] for rows in written.fit.rows], axis=1)
     rows = written_out(written.fit, ())[0][:, ::STEP, -1] * written.sigma / NOMINAL[:, None]
     left = left / np.sqrt(np.mean(rows**2, axis=1)).max()

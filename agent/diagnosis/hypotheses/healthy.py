@@ -53,9 +53,12 @@ def with_healthy_effects(
             if size >= largest.get(key, (0.0, []))[0]:
                 largest[key] = size, entries
     healthy = [entry for _, entries in largest.values() for entry in entries]
-    sliding = np.max([error for error, *_ in learned], axis=0) if learned else None
     healthy = [replace(entry, value={}) if alone else entry for entry in healthy]
-    return replace(model, sliding_rmse=sliding, healthy=tuple(healthy))
+    if not learned:
+        return replace(model, healthy=tuple(healthy))
+    sliding = np.max([error for error, *_ in learned], axis=0)
+    share = np.max([np.mean([of_log.noise_share for of_log in shown], axis=0) for *_, shown in learned], axis=0)
+    return replace(model, sliding_rmse=sliding, noise_share=share, healthy=tuple(healthy))
 
 
 def _beginning(log: Log) -> Log:
@@ -88,6 +91,11 @@ class _Shown:
         gains, values = evidence.shortlist_gains(evidence.null_hypothesis)
         torque = [max(pool.torque(k, parameters).values(), default=0.0) for k, parameters in enumerate(values)]
         return cls(evidence, gains, values, np.array(torque), [pool.rms(k) for k in range(pool.size)])
+
+    @property
+    def noise_share(self) -> np.ndarray:
+        """(n,) part of σ² that differs from row to row."""
+        return np.minimum(self.evidence.null_hypothesis.scales, 1.0)
 
     @cached_property
     def hidden(self) -> np.ndarray:

@@ -88,9 +88,12 @@ class NoiseModel:
         usual = self._usual(candidates) if unknown else {}
         healthy = healthy or ()
         own_model = fit.keeps_parameters and fit.reference.model.method != SIMULATOR
-        # σ is what it errs by in other motion: less noise in these logs leaves more of that to its systematic error
-        self._least_scale = 1.0 if own_model and healthy else 0.0
+        # these logs say nothing of how much the model errs in other motion, however little noise they have
+        known = fit.reference.model.noise_share
+        own_error = 0.0 if not own_model or not healthy else 1.0 if known is None else known
+        self._least_scale = np.broadcast_to(own_error, self.joints)
         spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))
+        self.share: list[float] = []
         self.known: list[np.ndarray] = []
         self.gram: list[np.ndarray] = []
         self._widths: list[tuple[int, int, int]] = []
@@ -99,6 +102,8 @@ class NoiseModel:
             free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
             free = np.hstack([free * (base[j] / self.sigma[:, j])[:, None], *usual.get(j, ())])
             amounts = [self.thinned(h.candidate, j) * h.amount for h in healthy if j in h.candidate.blocks]
+            self.share.append(_share(amounts))
+            amounts = [self.share[j] * columns for columns in amounts]
             each = self._turned(self._noticed(np.hstack([*amounts, own[:, :-1] @ spread[fit.index[j]]])))
             columns = np.hstack([own[:, :-1], free, each, own[:, -1:]])
             self._widths.append((own.shape[1] - 1, free.shape[1], each.shape[1]))
@@ -130,7 +135,7 @@ class NoiseModel:
         """Prior variance of the coefficients that are common to all logs, over σ²."""
         law, unit = self.law, float(self.unit[joint])
         return (
-            max(scale, self._least_scale) * law.systematic**2
+            max(scale, self._least_scale[joint]) * law.systematic**2
             + (law.drift * unit) ** 2
             + min(law.form**2 * form, _FORM)
             + (free.get(joint, 0.0) * unit) ** 2
@@ -149,13 +154,11 @@ class NoiseModel:
                     usual.setdefault(joint, []).append(block[:, some] * (least[joint] / size[some]))
         return usual
 
-    def torque_of(self, candidate: Candidate, parameters: np.ndarray) -> float:
-        """Torque over nominal, root mean square, on the joint with most, of independent parameters of such sizes."""
-        weight = (self.sigma / self.nominal[None]) ** 2
-        power = [
-            float(np.mean(((self.thinned(candidate, j) * parameters) ** 2).sum(axis=1) * weight[:, j]))
-            for j in candidate.blocks
-        ]
+    def usual_torque(self, effect: HealthyForm) -> float:
+        """Torque over nominal, root mean square, on the joint with most, of what this form has of the healthy arm's."""
+        form, weight = effect.candidate, (self.sigma / self.nominal[None]) ** 2
+        columns = {j: self.share[j] * self.thinned(form, j) * effect.amount for j in form.blocks}
+        power = [float(np.mean((block**2).sum(axis=1) * weight[:, j])) for j, block in columns.items()]
         return float(np.sqrt(max(power, default=0.0)))
 
     def _noticed(self, columns: np.ndarray) -> np.ndarray:
@@ -181,6 +184,15 @@ class NoiseModel:
         whole = np.block([[common.T @ common, cross], [cross.T, square]])
         order = np.r_[0 : width + free, width + free + 1 : len(whole), width + free]
         return np.asarray(whole[np.ix_(order, order)])
+
+
+def _share(parts: Sequence[np.ndarray]) -> float:
+    """Part of their amounts that effects with columns (S, k) have: together as much torque as the largest one alone.
+
+    Each was learned as if it explained by itself what the model of a healthy arm leaves, which is one torque.
+    """
+    energy = [float(np.sum(part**2)) for part in parts]
+    return float(np.sqrt(max(energy, default=0.0) / max(sum(energy), 1e-300)))
 
 
 def smooth_columns(q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray, log: np.ndarray) -> np.ndarray:

@@ -3,11 +3,11 @@
 All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian model:
 
     r_j = X_j δ + Z_jh β_h + U_j γ_j + e_j,    e_j ~ N(0, s_j²),    δ ~ N(δ₀, Λ⁻¹),    β_h ~ N(0, size² / rms²),
-    γ_j ~ N(0, max(s_j², 1) g² + drift² + form² τ_jh² + free_j²),   s_j² ~ inverse gamma (ν / 2, ν / 2)
+    γ_j ~ N(0, max(s_j², s₀_j²) g² + drift² + form² τ_jh² + free_j²),   s_j² ~ inverse gamma (ν / 2, ν / 2)
 
 X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
 hypothesis' effects, and U_j those of the noise model. Some of these all logs share (`noise_model`), with a variance of
-four parts: the model's own systematic error (g, with s_j² alone where no other motion told σ_j), changes of the arm
+four parts: the model's own systematic error (g, with the s₀_j² of other motion where it is known), changes of the arm
 over time (drift), errors in the parameterisation of any effect (a share of its own torque τ), and "something else on
 this joint" (free_j). Of others, with γ ~ N(0, 1), each log has its own: what the healthy arm has of the effects
 (`healthy`), and changes of δ. δ, β and γ are integrated out in closed form. The scales s_j and the effects' sizes are
@@ -90,8 +90,8 @@ class Score:
         self.noise = noise = NoiseModel(fit, candidates, healthy, law)
         self.usual: dict[EffectKey, float] = {}
         for effect in healthy or ():
-            size = noise.torque_of(effect.candidate, effect.amount)
-            self.usual[effect.candidate.key] = max(size, self.usual.get(effect.candidate.key, 0.0))
+            key = effect.candidate.key
+            self.usual[key] = float(np.hypot(noise.usual_torque(effect), self.usual.get(key, 0.0)))
             effect.candidate.release()
         self._baseline = {effect.candidate.key: effect for effect in healthy or () if effect.mean is not None}
         self.pool = CandidatePool(noise)
