@@ -18,7 +18,7 @@ FREQUENCIES = np.geomspace(3.0, 36.0, 34)  # Hz of a link on its locked motor
 DAMPING = (0.04, 0.12)  # numerical: ratios of a link that rings, from which a search starts
 _RATE = 1500.0  # numerical: Hz of the integration, at least
 _TRIED = 2  # numerical: of a joint's grid, in full
-_SUSPECT = 1.3  # numerical: Σ e² / σ² to a row from which on a joint gets the whole grid, and half of the worst joint's
+_SUSPECT = 1.3  # numerical: Σ e² / noise² a row, from where a joint gets the whole grid, and half of the worst's
 _PROMISING = 0.15  # numerical: of a joint's Σ e² / σ², from where on neighbours of the best are worth a look
 _NEIGHBOURS = (1.12, 1.05)  # numerical: factors of frequency and play, finer with every round
 
@@ -105,9 +105,9 @@ class TwoMass(Effect):
     ) -> list[dict[str, float]]:
         """The best of what was tried, with columns (S', K) on the joint alone, and of its neighbours."""
         best, gain = self._best(context, k, tried, columns)
-        energy = _energy(context)[k]
+        energy, noise = _energy(context)[k], _noise_share(context)[k]
         for factor in _NEIGHBOURS:
-            if gain < _PROMISING * energy * len(columns) or (context.keeps_parameters and energy <= 1):
+            if gain < _PROMISING * energy * len(columns) or (context.keeps_parameters and energy <= noise):
                 break
             neighbours = [neighbour for entry in best for neighbour in self._neighbours(entry, factor)]
             best, gain = self._best(context, k, neighbours, on_joint(context, k, neighbours))
@@ -142,7 +142,7 @@ class TwoMass(Effect):
 
     def _starting_grid(self, context: FitContext, k: int) -> list[dict[str, float]]:
         inertia = _inertia(context, k)
-        energy = _energy(context)
+        energy = _energy(context) / _noise_share(context)
         suspect = max(min(_SUSPECT, 0.5 * energy.max()), 1.0 if context.keeps_parameters else 0.0)
         grid = self.grid if energy[k] > suspect else self.few
         return [
@@ -211,6 +211,12 @@ def _energy(context: FitContext) -> np.ndarray:
     """(n,) mean of (e / σ)² of what is left."""
     parts = zip(context.residuals, context.sigmas, strict=True)
     return np.mean(np.concatenate([(residual / sigma) ** 2 for residual, sigma in parts]), axis=0)
+
+
+def _noise_share(context: FitContext) -> np.ndarray:
+    """(n,) part of σ² that differs from row to row, as far as known: no smooth error of a model rings."""
+    share = context.reference.model.noise_share
+    return np.ones(context.reference.robot.dof) if share is None else share
 
 
 def _key(k: int, settings: Numbers) -> tuple[int, float, float, float]:
