@@ -89,7 +89,8 @@ def main() -> None:
     def numbers(point: np.ndarray) -> ServoNumbers:
         armature, damping, friction = LARGEST * point[:-1].reshape(3, -1)
         own = file.armature * armature, file.damping * damping, np.maximum(file.friction, 1e-3 * file.kp) * friction
-        return ServoNumbers(*own, file.kp, np.full_like(file.kp, LONGEST * point[-1]))
+        late = np.full_like(file.kp, LONGEST * point[-1])
+        return ServoNumbers(*own, file.kp, file.stiffness, late, file.offset)
 
     began = time.process_time()
     scale = usual_scale(reference, file, fitted)

@@ -11,6 +11,7 @@ from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.simulator_file.numbers_as_causes import springs_as_effects
 from agent.diagnosis.simulator_file.parameter_groups import (
     BEND,
     DELAY,
@@ -19,6 +20,7 @@ from agent.diagnosis.simulator_file.parameter_groups import (
     LOAD,
     OFFSET,
     OWN_DELAY,
+    SPRING,
     Group,
     drive_groups,
     groups_of,
@@ -60,7 +62,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
 
     released = Released()
     for group in groups:
-        if group.kind in (*_OF_SERVO, DELAY, BEND):
+        if group.kind in (*_OF_SERVO, DELAY, BEND, SPRING):
             continue
         into = {"friction": released.friction, "rotor inertia": released.rotors}
         into |= dict.fromkeys((LINK, LOAD), released.links)
@@ -69,6 +71,9 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     for candidate, values in zip(fit.chosen, fitted, strict=True):
         reasons[candidate.effect.name, tuple(names[j] for j in candidate.joints)] = reason(candidate.text(names))
         effects.append(candidate.part_of_model(values, names))
+    for spring in springs_as_effects(diagnosis.dataset, groups, change):
+        effects.append(spring)
+        reasons[spring.effect, spring.joints] = reason(f"{SPRING} of {spring.joints[0]}")
     of_model = change[: len(simulator.model.values)].copy()
     if servos is not None:  # the file's simulator adds inertia to what it says
         robot, rotors = diagnosis.dataset.robot, ParameterLayout.of(diagnosis.dataset.robot).rotors

@@ -225,12 +225,19 @@ class MotionSignals:
         return self.reference.links.torque_slope(self.q, self.qd, self.qdd)
 
     @cached_property
+    def slow_slope(self) -> np.ndarray:
+        """(S, n, n) `link_slope` for the stiffness of servos, computed on every tenth sample and straight in between."""
+        return self._from_some(lambda at: self.reference.links.torque_slope(self.q[at], self.qd[at], self.qdd[at]))
+
+    @cached_property
     def mass(self) -> np.ndarray:
         """(S, n, n) mass matrix of the links, computed on every tenth sample and straight in between."""
-        links = self.reference.solid
+        return self._from_some(lambda at: np.array([self.reference.solid.mass_matrix(q) for q in self.q[at]]))
+
+    def _from_some(self, matrices_at: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """(S, n, n) from those of every tenth sample."""
         at = np.append(np.arange(0, len(self.q) - 1, _MASS_STEP), len(self.q) - 1)
-        matrices = np.array([links.mass_matrix(q) for q in self.q[at]])
-        sample = np.arange(len(self.q))
+        matrices, sample = matrices_at(at), np.arange(len(self.q))
         first = np.minimum(sample // _MASS_STEP, len(at) - 2)
         share = ((sample - at[first]) / (at[first + 1] - at[first]))[:, None, None]
         return (1 - share) * matrices[first] + share * matrices[first + 1]

@@ -1,6 +1,6 @@
 """A simulator's free motion: MuJoCo runs an MJCF under the recorded set-points, with its own servos.
 
-(I + Iₐ) q̈ + d q̇ + F sgn q̇ + g(q) = clip(kₚ (clip(r(t − τ)) + b − q) − k_v q̇)
+(I + Iₐ) q̈ + d q̇ + F sgn q̇ + g(q) + k (q − q₀) = clip(kₚ (clip(r(t − τ)) + b − q) − k_v q̇)
 
 The command r acts late by τ, limits of set-point and force after that. A command that is held from frame to frame
 enters every step as its mean over that step, so the motion is a smooth function of τ.
@@ -36,13 +36,15 @@ class ServoNumbers:
     """Numbers of n joints and their servos, (n,) each, on the joint side.
 
     armature [kg·m²], damping [N·m·s/rad] of joint and servo (kv) together, friction [N·m] (Coulomb), kp [N·m/rad],
-    delay [s] from the recorded command to the servo, offset [rad] b at which the servo stands off its set-point.
+    stiffness [N·m/rad] of a spring at the joint, as cables are, about the file's rest, delay [s] from the recorded
+    command to the servo, offset [rad] b at which the servo stands off its set-point.
     """
 
     armature: np.ndarray
     damping: np.ndarray
     friction: np.ndarray
     kp: np.ndarray
+    stiffness: np.ndarray
     delay: np.ndarray
     offset: np.ndarray
 
@@ -55,18 +57,19 @@ class ServoNumbers:
             arm.damping + servos.damping,
             arm.frictionloss.copy(),
             servos.stiffness.copy(),
+            arm.stiffness.copy(),
             servos.delay.copy(),
             servos.offset.copy(),
         )
 
     @property
     def table(self) -> np.ndarray:
-        """(6, n) in the order of the fields."""
+        """(7, n) in the order of the fields."""
         return np.stack([getattr(self, each.name) for each in fields(self)])
 
     @classmethod
     def of_table(cls, table: np.ndarray) -> ServoNumbers:
-        """From (6, n) in the order of the fields."""
+        """From (7, n) in the order of the fields."""
         return cls(*np.array(table, dtype=float))
 
     @property
@@ -160,6 +163,7 @@ class FreeSimulator:
         self.model = model = compiled(arm.path, arm.excluded)
         self._at = np.array([int(model.joint(name).qposadr[0]) for name in arm.file_joints])
         self._dof = np.array([int(model.joint(name).dofadr[0]) for name in arm.file_joints])
+        self._joints = [int(model.joint(name).id) for name in arm.file_joints]
         locked = np.setdiff1d(np.arange(model.nv), self._dof)
         model.dof_armature[locked] = _HOLD * max(float(model.body_mass.sum()), 1.0)
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -316,6 +320,7 @@ class FreeSimulator:
         model, own = self.model, self.servos
         model.dof_armature[self._dof] = numbers.armature + 0.5 * self.step * numbers.damping
         model.dof_frictionloss[self._dof] = numbers.friction
+        model.jnt_stiffness[self._joints] = numbers.stiffness
         servos = self._servos(numbers)
         model.dof_damping[self._dof] = numbers.damping - servos.damping
         for j, actuator in enumerate(own.actuators):

@@ -42,18 +42,21 @@ def recorded(
     seconds: float = 4.0,
     offset: float = 0.0,
     later: float = 0.0,
+    spring: float = 0.0,
 ) -> Log:
     """A log of the arm of a file under a held command; its elbow has other friction, and `joints` other servos.
 
     The command reaches the elbow `later` [s] than the other joint.
 
     The command moves on after every `rest` [s] and is cut to within `nearest` of the positions; `impedance` is that of
-    friction. Damping d is d + `bend` |v|. The servo of the elbow stands `offset` [rad] off its set-points.
+    friction. Damping d is d + `bend` |v|. The servo of the elbow stands `offset` [rad] off its set-points, and a cable
+    pulls there with `spring` [N·m/rad].
     """
     model = mujoco.MjModel.from_xml_path(str(source))
     model.dof_solimp[:, 0] = impedance
     model.dof_frictionloss[1] *= friction
     model.dof_dampingpoly[:, 0] = bend
+    model.jnt_stiffness[1] = spring
     model.actuator_gainprm[joints, 0] *= gain
     model.actuator_biasprm[joints, 1] *= gain
     model.actuator_biasprm[1, 0] = model.actuator_gainprm[1, 0] * offset
@@ -160,6 +163,21 @@ def test_a_servo_that_stands_off_its_set_points_is_found_and_written_as_a_bias(s
     assert again.actuator_biasprm[1, :3] == pytest.approx(model.actuator_biasprm[1, :3])
     assert '"of": " of elbow"' in (tmp_path / "newton" / "left_out.json").read_text(encoding="utf-8")
     assert "torque_offset" not in (tmp_path / "mjcf" / "left_out.json").read_text(encoding="utf-8")
+
+
+def test_a_cable_at_a_joint_is_a_spring_of_the_corrected_file(source, tmp_path):
+    logs = [recorded(source, k, late=0.02, spring=1.0) for k in (1, 2)]
+    simulator, found = found_in(source, logs)
+    cause = next(cause for cause in found.result["causes"] if cause["joints"])
+    assert (cause["effect"], cause["joints"]) == ("gravity_spring", ["elbow"])
+    assert cause["parameters"]["stiffness"] == pytest.approx(1.0, rel=0.1)
+    out, held_out = tmp_path / "fixed.xml", recorded(source, 3, late=0.02, spring=1.0)
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
+    assert error_of(out, held_out) < 2e-3 < 0.1 * error_of(source, held_out)
+    model = mujoco.MjModel.from_xml_path(str(out))
+    np.testing.assert_allclose(model.jnt_stiffness, (0, 1), atol=0.1)
+    again = load_simulator(out, None, logs[0].joint_names, None)
+    assert diagnose(again.robot, logs, again.model, simulator=again).result["verdict"] == "no_gap", "read as written"
 
 
 @pytest.mark.parametrize("offset", [-1e-3, pytest.param(1e-3, marks=pytest.mark.verify)])
@@ -306,11 +324,11 @@ def test_the_linear_response_is_the_change_of_the_simulated_motion(source, holds
     motion = stretch.run(free, free.numbers)
     line = stretch.linearised(free, free.numbers, motion, NominalModel(simulator.model))
     columns = line.number_columns(free, free.numbers)
-    for place in range(12):
+    for place in range(14):
         table = free.numbers.table.ravel()
         step = 0.01 * max(table[place], 0.02)
         table[place] += step
-        changed = stretch.run(free, ServoNumbers.of_table(table.reshape(6, 2)))
+        changed = stretch.run(free, ServoNumbers.of_table(table.reshape(-1, 2)))
         difference = (changed.at(log.t) - motion.at(log.t)) / step
         assert np.corrcoef(difference.ravel(), columns[:, :, place].ravel())[0, 1] > 0.97
 

@@ -35,19 +35,22 @@ LOAD_NUMBERS = ("m0", "hx0", "hy0", "hz0")  # mass and first moments of a load a
 _LOAD = len(LOAD_NUMBERS)
 _LIGHTEST = 1e-6  # kg, below which a load has no inertia
 _DELAY, _OFFSET = KINDS.index("delay"), KINDS.index("offset")
+#: Kinds that are the file's until the motion says otherwise.
+EXTRA = ("offset", "stiffness")
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Which of the 6 n numbers, the cut of commands and 4 numbers of a load are free, and which move together.
+    """Which of the 7 n numbers, the cut of commands and 4 numbers of a load are free, and which move together.
 
-    `basis` (6 n + 5, p) of their change, `scale` (6 n + 5,) how far each may usually move; `one_delay` of the arm, or
-    one of each joint.
+    `basis` (7 n + 5, p) of their change, `scale` (7 n + 5,) how far each may usually move; `one_delay` of the arm, or
+    one of each joint; `springs`: stiffness is free.
     """
 
     basis: np.ndarray
     scale: np.ndarray
     one_delay: bool
+    springs: bool
 
     @classmethod
     def create(
@@ -65,7 +68,7 @@ class Parameters:
         columns.append(eye[:, kinds * n : kinds * n + 1])
         if load:
             columns.append(eye[:, kinds * n + 1 :])
-        return cls(np.hstack(columns), scale, one_delay)
+        return cls(np.hstack(columns), scale, one_delay, "stiffness" not in fixed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +90,7 @@ class OutputErrorFit:
 
     @cached_property
     def columns(self) -> list[np.ndarray]:
-        """Per stretch (S', n, 6 n + 1), as `LinearisedMotion.number_columns`."""
+        """Per stretch (S', n, 7 n + 1), as `LinearisedMotion.number_columns`."""
         return [motion.number_columns(self.simulator, self.numbers) for motion in self.motions]
 
     @property
@@ -97,11 +100,12 @@ class OutputErrorFit:
 
 
 def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(6 n + 5,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
+    """(7 n + 5,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
 
     Of a cut it is the widest lag, of a load what would take the strongest joint's torque at full reach.
     """
     lag, speed, acceleration = [], [], []
+    travel = np.maximum(np.std(np.concatenate([stretch.position for stretch in stretches]), axis=0), 1e-6)
     for stretch in stretches:
         asked = stretch.command.between(np.append(stretch.time, 2 * stretch.time[-1] - stretch.time[-2]), numbers.delay)
         qd = np.gradient(stretch.position, stretch.time, axis=0)
@@ -113,7 +117,7 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
     )
     offset, torque = torque, torque * numbers.kp
     delay = np.full(len(torque), USUAL_DELAY)
-    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, delay, offset])
+    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, torque / travel, delay, offset])
     weight = max(float(np.linalg.norm(reference.robot.gravity)), 1.0)
     mass = float(torque.max()) / weight / reference.reach
     load = mass * np.array([1.0, *[reference.reach] * (_LOAD - 1)])
@@ -265,7 +269,7 @@ def _possible(table: np.ndarray, last: int, reach: float) -> np.ndarray:
 
 
 def _not_negative(table: np.ndarray) -> np.ndarray:
-    """(6 n + 5,) bool: which numbers cannot be below zero: all but offsets and the moments of a load."""
+    """(7 n + 5,) bool: which numbers cannot be below zero: all but offsets and the moments of a load."""
     count, which = len(table) - 1 - _LOAD, np.arange(len(table))
     return np.asarray((which <= count + 1) & (which // (count // len(KINDS)) != _OFFSET))
 

@@ -117,7 +117,7 @@ class LinearisedMotion:
     servos: PositionServos
 
     def number_columns(self, simulator: FreeSimulator, numbers: ServoNumbers) -> np.ndarray:
-        """(S', n, 6 n + 1) change of the judged positions with each number, kind by kind as in `ServoNumbers.table`.
+        """(S', n, 7 n + 1) change of the judged positions with each number, kind by kind as in `ServoNumbers.table`.
 
         The last is how near the recorder cuts commands to the positions.
         """
@@ -128,7 +128,8 @@ class LinearisedMotion:
         asked = np.clip(m.command, servos.least, servos.most)
         by_delay = numbers.kp * (early - late) / (2 * _LATER) * free
         by_kp, by_offset = -(asked + numbers.offset - m.q) * free, -numbers.kp * free
-        parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, by_kp, by_delay, by_offset)
+        turned = m.q - simulator.arm.rest
+        parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, by_kp, turned, by_delay, by_offset)
         columns = np.zeros((len(self.stretch.time[self.stretch.judged]), n, len(parts) * n + 1))
         for j in range(n):
             block = np.column_stack([part[:, j] for part in parts])

@@ -1,8 +1,8 @@
 """How an arm under position servos answers to a small torque: its motion, linearised along a simulated one.
 
 M δq̈ + D δq̇ + K δq = −τ, with τ what the motors have to give in addition (the sign of an effect's torque), M the mass
-matrix, D damping, K = kₚ and the slope of gravity. A joint that friction holds only creeps; a servo at its limit
-does not pull. The trapezoidal rule has second order and no damping of its own.
+matrix, D damping, K = kₚ and the slopes of gravity and springs. A joint that friction holds only creeps; a servo at its
+limit does not pull. The trapezoidal rule has second order and no damping of its own.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LinearResponse:
         creep (n,) [1/s] the damping over inertia of a joint that friction holds."""
         free = ~motion.limited
         n = signals.q.shape[1]
-        stiffness = signals.link_slope + np.einsum("sj,jk->sjk", free * numbers.kp, np.eye(n))
+        stiffness = signals.slow_slope + np.einsum("sj,jk->sjk", free * numbers.kp + numbers.stiffness, np.eye(n))
         mass = signals.mass + np.diag(numbers.armature)
         damping = np.where(free, numbers.damping, numbers.damping - np.minimum(kv, numbers.damping))
         held = creep * np.diagonal(mass, axis1=1, axis2=2)

@@ -37,7 +37,7 @@ from agent.diagnosis.rows.servos import PositionLayout, ServoParameters
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import IdentifiedModel, NominalModel
 from agent.recording import Log
-from agent.simulators import ServoNumbers, SimulatedArm, model_of
+from agent.simulators import KINDS, ServoNumbers, SimulatedArm, model_of
 
 _EXACT = 1e-6  # standard deviation of a number that may not move, over its usual change
 _LEAST = 1e-3  # numerical: of the largest value, usual change of one that is zero
@@ -64,6 +64,7 @@ def assemble_positions(
     from_file[layout.coulomb] = found.numbers.friction - given.friction
     from_file[layout.viscous] = found.numbers.damping - given.damping
     from_file[layout.kp] = found.numbers.kp - given.kp
+    from_file[layout.stiffness] = found.numbers.stiffness - given.stiffness
     from_file[layout.offset] = found.numbers.offset - given.offset
     from_file[layout.delay] = found.numbers.delay - given.delay
     rows: list[list[np.ndarray]] = [[] for _ in range(n)]
@@ -86,7 +87,8 @@ def assemble_positions(
     usual[: len(model.values)] = np.abs(model.values) + _LEAST * np.abs(model.values).max()
     usual[layout.kp], usual[layout.bend] = given.kp, given.damping
     usual[layout.cut] = widest_lag(found.stretches)
-    usual[layout.offset] = scale[-5 - n : -5]
+    by_kind = ServoNumbers.of_table(scale[: len(KINDS) * n].reshape(-1, n))
+    usual[layout.stiffness], usual[layout.offset] = by_kind.stiffness, by_kind.offset
     covariance = np.diag((_EXACT * usual) ** 2)
     index = [np.arange(len(usual))] * n
     block = segments_of(time, log, logs, LIMITS.block)
@@ -109,7 +111,8 @@ def assemble_positions(
         simulator.arm,
         added,
         load_shape(found.load[: len(LOAD_NUMBERS)]) * scale[-4:],
-        scale[-5 - n : -5],
+        by_kind.stiffness if found.parameters.springs else None,
+        by_kind.offset,
         tuple(np.flatnonzero(simulator.servos.in_unit).tolist()),
         partial(_free_error, found),
         found.rmse,
@@ -122,17 +125,20 @@ def assemble_positions(
 
 def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.ndarray) -> np.ndarray:
     """(S', n, p) change of the positions with each parameter of the model, each kp, the cut of commands, each bend of
-    damping, each offset and each delay.
+    damping, each spring, each offset and each delay.
 
-    `numbers` (S', n, 6 n + 1) are those of joints and servos (`LinearisedMotion.number_columns`).
+    `numbers` (S', n, 7 n + 1) are those of joints and servos (`LinearisedMotion.number_columns`).
     """
     base = reference.model.rigid.columns(line.signals.q, line.signals.qd, line.signals.qdd)
     speeds, n = line.signals.qd.T, numbers.shape[1]
     layout = PositionLayout.create(base.shape[2], n)
     columns = np.zeros((*numbers.shape[:2], layout.size))
-    _, damping, friction, kp, delay, offset, cut = np.split(numbers, np.arange(n, numbers.shape[2], n), axis=2)
+    _, damping, friction, kp, stiffness, delay, offset, cut = np.split(
+        numbers, np.arange(n, numbers.shape[2], n), axis=2
+    )
     columns[:, :, layout.coulomb], columns[:, :, layout.viscous] = friction, damping
     columns[:, :, layout.kp], columns[:, :, layout.cut] = kp, cut
+    columns[:, :, layout.stiffness] = stiffness
     columns[:, :, layout.offset], columns[:, :, layout.delay] = offset, delay
     columns[:, :, layout.base] = line.response.of_torque({j: base[:, j] for j in range(n)})
     bends = [line.response.of_torque({j: (qd * np.abs(qd))[:, None]}) for j, qd in enumerate(speeds)]

@@ -22,7 +22,17 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
 from agent.diagnosis.position_logs.rows import model_columns
 from agent.diagnosis.rows.candidate import Candidate
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, LINK, LOAD, OFFSET, OWN_DELAY, Group, groups_of
+from agent.diagnosis.simulator_file.parameter_groups import (
+    DELAY,
+    GAIN,
+    LINK,
+    LOAD,
+    OFFSET,
+    OWN_DELAY,
+    SPRING,
+    Group,
+    groups_of,
+)
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import CATALOGUE, FileNumbers
 from agent.simulators import FreeSimulator, RecordedCommand, Simulator
@@ -36,6 +46,7 @@ _KINDS: dict[FileNumbers | None, tuple[str, ...]] = {
     GAIN: (GAIN,),
     DELAY: (DELAY, OWN_DELAY),
     OFFSET: (OFFSET,),
+    SPRING: (SPRING,),
 }
 
 

@@ -18,6 +18,7 @@ from agent.data_quality import unsigned_torque
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.fitting import (
+    EXTRA,
     LOAD_NUMBERS,
     OutputErrorFit,
     Parameters,
@@ -123,8 +124,8 @@ def _fitted(
     scale = usual_scale(reference, file, stretches)
     by_equation = numbers_by_equation(reference, file, stretches)
     free = free_of_contacts(free, (file, by_equation), stretches)
-    rough = Parameters.create(scale, fixed=("kp", "offset"))
-    fine = rough if known_kp else Parameters.create(scale, fixed=("offset",))
+    rough = Parameters.create(scale, fixed=("kp", *EXTRA))
+    fine = rough if known_kp else Parameters.create(scale, fixed=EXTRA)
 
     def fitted(arm: FreeSimulator) -> OutputErrorFit:
         begin = fit_output_error(arm, reference, stretches, file, file, rough, progress, _ROUGH).numbers
@@ -133,7 +134,7 @@ def _fitted(
 
     soft, firm = fitted(free), fitted(free.holding())
     bare = firm if _gains(soft, firm).sum() > chance else soft
-    held, nearest = _simplest(bare, reference, progress, known_kp), np.inf
+    held, nearest = _settled(_simplest(bare, reference, progress, known_kp), progress), np.inf
     for of_file in (True, False):
         numbers = replace(file, delay=bare.numbers.delay) if of_file else bare.numbers
         if (narrower := _nearest(bare, numbers, stretches)) == np.inf:
@@ -142,24 +143,34 @@ def _fitted(
         again = fit_output_error(bare.simulator, reference, cut, file, numbers, fine, progress)
         if _gains(bare, again).sum() <= chance:
             continue
-        loaded = _simplest(again, reference, progress, known_kp)
+        if held.load.any():  # a load imitates a cut
+            loaded = _settled(_simplest(again, reference, progress, known_kp), progress)
+        else:
+            loaded = _settled(replace(held, stretches=tuple(s.cut(narrower) for s in held.stretches)), progress)
         cuts = loaded.stretches[0].nearest >= _nearest_cut(stretches)
         if cuts and _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
             held, nearest = loaded, loaded.stretches[0].nearest
             break
-    errors = held.rmse  # one joint that keeps a large error does not decide the numbers of the others
-    settled = held.simulator, reference, held.stretches, file, held.numbers, held.parameters, progress
-    held = fit_output_error(*settled, load=held.load, errors=errors)
     if len(ways) == 1:
         return held, "", 0.0
     # a held command is late by half a frame in the middle
     begin = replace(held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
     stretches = tuple(stretch.cut(nearest) for stretch in stretches_of(logs, False, settling))
-    smooth = fit_output_error(
-        held.simulator, reference, stretches, file, begin, held.parameters, progress, load=held.load, errors=errors
-    )
+    smooth = _again(replace(held, stretches=stretches, numbers=begin), progress)
     taken, how, other = (smooth, SMOOTH, held) if _gains(held, smooth).sum() > chance else (held, HELD, smooth)
     return taken, how, float(np.mean(other.numbers.delay - taken.numbers.delay))
+
+
+def _settled(fit: OutputErrorFit, progress: Callable[[str], None]) -> OutputErrorFit:
+    """The fit in which one joint that keeps a large error does not decide the numbers of the others."""
+    return _again(_again(fit, progress), progress)  # the first changes what joints leave, and so their weights
+
+
+def _again(fit: OutputErrorFit, progress: Callable[[str], None]) -> OutputErrorFit:
+    """The fit from its own numbers on, joints weighed by the errors that it left."""
+    simulator, stretches, parameters = fit.simulator, fit.stretches, fit.parameters
+    given = simulator, fit.reference, stretches, simulator.numbers, fit.numbers, parameters, progress
+    return fit_output_error(*given, load=fit.load, errors=fit.rmse)
 
 
 def _simplest(
@@ -168,16 +179,16 @@ def _simplest(
     """The fit that what follows is linear about: one with gains, or with a load at the last link and gains as they are.
 
     Gains, friction and rotors of all joints together imitate a load, and it them. So each is tried by itself. The other
-    one, an offset of each servo, and a delay of each joint in place of the arm's follow one by one where they do better
-    than chance, what does best first.
+    one, an offset of each servo, a spring at each joint, and a delay of each joint in place of the arm's follow one by
+    one where they do better than chance, what does best first.
     """
     stretches, file = fit.stretches, fit.simulator.numbers
     n = len(file.kp)
     scale = np.maximum(*(usual_scale(reference, numbers, stretches) for numbers in (file, fit.numbers)))
-    count = {"kp": n, "load": len(LOAD_NUMBERS), "offset": n} | ({"delay": n - 1} if n > 1 else {})
+    count = {"kp": n, "load": len(LOAD_NUMBERS)} | dict.fromkeys(EXTRA, n) | ({"delay": n - 1} if n > 1 else {})
 
     def fitted(start: OutputErrorFit, numbers: ServoNumbers, free: Sequence[str], **how: float) -> OutputErrorFit:
-        fixed = [kind for kind in ("kp", "offset") if kind not in free]
+        fixed = [kind for kind in ("kp", *EXTRA) if kind not in free]
         parameters = Parameters.create(scale, fixed, "delay" not in free, "load" in free)
         return fit_output_error(
             fit.simulator, reference, stretches, file, numbers, parameters, progress, load=start.load, **how

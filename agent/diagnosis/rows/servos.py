@@ -16,7 +16,8 @@ class PositionLayout:
     """Where each kind of parameters of position logs lies in a vector (p,), in this order.
 
     Base parameters, then Coulomb and viscous friction of each of n joints in turn; kp (n,) [N·m/rad], the cut of
-    commands (1,) [rad or m], bend of damping (n,), offset (n,) [rad or m] and delay (n,) [s].
+    commands (1,) [rad or m], bend of damping (n,), stiffness of springs (n,) [N·m/rad], offset (n,) [rad or m] and
+    delay (n,) [s].
 
     Damping d bends with speed by b: the torque is d v + b v |v|. No file of a simulator has b.
     """
@@ -27,13 +28,14 @@ class PositionLayout:
     kp: slice
     cut: slice
     bend: slice
+    stiffness: slice
     offset: slice
     delay: slice
 
     @classmethod
     def create(cls, base: int, joints: int) -> PositionLayout:
         """Of a model with a number of base parameters, and of joints."""
-        edges = np.cumsum([base, 2 * joints, joints, 1, joints, joints, joints]).tolist()
+        edges = np.cumsum([base, 2 * joints, joints, 1, *[joints] * 4]).tolist()
         of_servos = (slice(*ends) for ends in pairwise(edges[1:]))
         return cls(slice(base), slice(base, edges[1], 2), slice(base + 1, edges[1], 2), *of_servos)
 
@@ -48,8 +50,8 @@ class ServoParameters:
     """Parameters of position servos, which `layout` finds in a change (p,) of all parameters.
 
     `covariance` (p, p) of all parameters as the file has them; `delay` [s] a usual one; `file`: its numbers; the rows
-    are linear about a change `about` (p,). `offset` (n,) [rad] a usual one, and `with_offset` the joints that may have
-    one. `free_error`: (n,) [rad or m] of the arm's free motion with other numbers, and parameters (10,) that the last
+    are linear about a change `about` (p,). `spring` (n,) [N·m/rad] a usual one, None where the motion wants none;
+    `offset` (n,) [rad] a usual one, and `with_offset` the joints that may have one. `free_error`: (n,) [rad or m] of the arm's free motion with other numbers, and parameters (10,) that the last
     link gains; `fit_error` (n,) that of the fit.
     `kp_known`: the file's kp are right. `cut` [rad or m]: how much nearer to the positions commands may have been cut,
     0 where they were not. `load` (10, 4): what the last link gains by a usual mass and usual first moments of a load
@@ -67,6 +69,7 @@ class ServoParameters:
     simulated: SimulatedArm
     added: np.ndarray
     load: np.ndarray
+    spring: np.ndarray | None
     offset: np.ndarray
     with_offset: tuple[int, ...]
     free_error: Callable[[ServoNumbers, np.ndarray], np.ndarray]

@@ -184,7 +184,7 @@ def explain_rows(dataset: Dataset, without: Sequence[str], progress: Callable[[s
     if len(everything.groups) > len(as_is.groups):
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).selected.causes)
-        pair = search(others), search(everything)
+        pair = [search(others), *([search(everything)] if everything.parts != others.parts else [])]
         least = min(entry.remaining_error for entry in pair)
         most = least if dataset.servos is not None else least + enough  # of positions nearly all of the gap is delay
         alike = (entry for entry in pair if entry.remaining_error <= most)

@@ -12,6 +12,7 @@ from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.parameter_groups import (
     DELAY,
@@ -19,6 +20,7 @@ from agent.diagnosis.simulator_file.parameter_groups import (
     LINK,
     OFFSET,
     OWN_DELAY,
+    SPRING,
     Group,
     groups_of,
     load_groups,
@@ -30,7 +32,7 @@ from agent.diagnosis.simulator_file.released_numbers import (
     released_fit,
     stepwise_groups,
 )
-from agent.model import CATALOGUE, FileNumbers
+from agent.model import CATALOGUE, FileNumbers, ModelEffect
 
 #: Names of effects by the numbers of a file that they change; the built-in ones last.
 _NAMES = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}
@@ -91,6 +93,13 @@ def causes_of_numbers(
             alike = _like_offset(released, selected.causes, group, gap)
             own_part = _on_joint(released, group, selected.causes, gap)
             causes.append(Cause(_NAMES[OFFSET], joint, closes(group), probability, parameters, alike, own_part))
+        elif group.kind == SPRING:
+            for spring in springs_as_effects(released.given, [group], change):
+                alike = tuple(EffectPlace(name, joint) for name in CATALOGUE[spring.effect].structurally_equivalent)
+                own_part = _on_joint(released, group, selected.causes, gap)
+                causes.append(
+                    Cause(spring.effect, joint, closes(group), probability, dict(spring.parameters), alike, own_part)
+                )
         elif group.kind in (DELAY, OWN_DELAY):
             own_part, delay = _on_joint(released, group, selected.causes, gap), delay_of(released, change, group)
             causes.append(Cause(_NAMES[DELAY], joint, closes(group), probability, {"delay": delay}, (), own_part))
@@ -106,6 +115,22 @@ def causes_of_numbers(
         as_load = (NamedEffect(_NAMES[FileNumbers.LOAD], ()),) if last and released.given.servos is not None else ()
         causes.append(Cause(_NAMES[FileNumbers.LINKS], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
+
+
+def springs_as_effects(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> list[ModelEffect]:
+    """Springs of groups, by which a change (p,) differs from the file, as effects; of one that pushes none."""
+    if (servos := dataset.servos) is None:
+        return []
+    more, names = change[servos.layout.stiffness], dataset.robot.joint_names
+    return [
+        ModelEffect(
+            _NAMES[SPRING],
+            (names[j],),
+            {"constant": float(-more[j] * servos.simulated.rest[j]), "stiffness": float(more[j])},
+        )
+        for j in (group.joint for group in groups if group.kind == SPRING)
+        if more[j] > 0
+    ]
 
 
 def _groups_that_cause(

@@ -15,6 +15,7 @@ from agent.robot import ParameterLayout
 
 #: Kinds of groups of servos.
 GAIN, BEND, OFFSET, DELAY = FileNumbers.GAIN, "bend of damping", FileNumbers.OFFSET, FileNumbers.DELAY
+SPRING = FileNumbers.SPRING
 #: How much more than that of the arm.
 OWN_DELAY = "own delay"
 #: Kinds of groups of links: ten numbers of one, or the mass and first moments of a load at the last.
@@ -107,6 +108,7 @@ def _of_servos(dataset: Dataset) -> list[Group]:
     return [
         *([] if servos.kp_known else _one_by_one(GAIN, layout, layout.kp, servos.file.kp)),
         *_offsets(dataset),
+        *([] if servos.spring is None else _one_by_one(SPRING, layout, layout.stiffness, servos.spring)),
         Group(DELAY, -1, late, np.ones(late.shape[1])),
         *([] if servos.one_delay else _one_by_one(OWN_DELAY, layout, layout.delay, own_delays)),
     ]

@@ -32,7 +32,7 @@ _NUMBERS_OF: dict[FileNumbers | None, tuple[str, ...]] = {
 _LEAST_GAIN = 1e-9  # numerical: N·m/rad
 _RATIOS = ("damping", "armature", "friction")
 _OF_GAIN = ("kp", *_RATIOS)
-#: Rows of a table: the gain's, and (6, 1) whether one is `_OF_GAIN`.
+#: Rows of a table: the gain's, and (7, 1) whether one is `_OF_GAIN`.
 _GAIN, _SCALES = KINDS.index("kp"), np.isin(KINDS, _OF_GAIN)[:, None]
 
 
@@ -162,12 +162,12 @@ def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]
 
 
 def _over_gain(numbers: np.ndarray) -> np.ndarray:
-    """Numbers (6, n) but delay and offset over the gain of their joint."""
+    """Numbers (7, n) but stiffness, delay and offset over the gain of their joint."""
     return np.where(_SCALES, numbers / np.maximum(numbers[_GAIN], _LEAST_GAIN), numbers)
 
 
 def _whole_torque(dataset: Dataset) -> np.ndarray:
-    """(6, n) of each number what would take all of its joint's torque; of a delay nothing."""
+    """(7, n) of each number what would take all of its joint's torque; of a delay nothing."""
     whole = ServoNumbers.of_table(np.zeros((len(KINDS), dataset.robot.dof)))
     for group in drive_groups(dataset):
         if group.kind == FileNumbers.FRICTION:
@@ -192,7 +192,8 @@ def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray)
             moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
         at += group.directions.shape[1]
     damping, friction, kp = change[layout.viscous], change[layout.coulomb], change[layout.kp]
-    more = ServoNumbers(moved, damping, friction, kp, change[layout.delay], change[layout.offset])
+    late, offset = change[layout.delay], change[layout.offset]
+    more = ServoNumbers(moved, damping, friction, kp, change[layout.stiffness], late, offset)
     return ServoNumbers.of_table(servos.file.table + more.table)
 
 
@@ -203,7 +204,7 @@ def _deviations(
     free: np.ndarray,
     form: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """(6, n) standard deviations of a form of the numbers about `free`, from the covariance (p, p) of the change."""
+    """(7, n) standard deviations of a form of the numbers about `free`, from the covariance (p, p) of the change."""
     base = servo_numbers(dataset, groups, np.zeros(len(covariance))).table
     moved = (servo_numbers(dataset, groups, column).table - base for column in np.eye(len(covariance)))
     slopes = np.stack([change.ravel() for change in moved], axis=1)

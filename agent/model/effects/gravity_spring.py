@@ -19,7 +19,7 @@ from agent.model.effects.effect import (
     harmonics,
 )
 from agent.model.effects.experiments import WHOLE_RANGE
-from agent.model.effects.simulator_numbers import SimulatorNumbers, linear_spring
+from agent.model.effects.simulator_numbers import FileNumbers, SimulatorNumbers, linear_spring
 from agent.model.passive_forces import PassiveForces, periodic
 
 
@@ -47,6 +47,7 @@ class GravitySpring(Effect):
     shapes = ("position",)
     experiment = WHOLE_RANGE
     nonlinear = ()
+    numbers = FileNumbers.SPRING
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
         slides = context.reference.robot.joints[joints[0]].prismatic

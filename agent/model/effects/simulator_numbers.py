@@ -16,6 +16,7 @@ class FileNumbers(StrEnum):
     LINKS = "links"
     LOAD = "load"
     GAIN = "servo gain"
+    SPRING = "spring"
     OFFSET = "offset of set-points"
     DELAY = "delay of the command"
     ZERO = "zero of the joint"
