@@ -226,7 +226,7 @@ class MotionSignals:
 
     @cached_property
     def slow_slope(self) -> np.ndarray:
-        """(S, n, n) `link_slope` for the stiffness of servos, computed on every tenth sample and straight in between."""
+        """(S, n, n) `link_slope` next to servos' stiffness, computed on every tenth sample and straight in between."""
         return self._from_some(lambda at: self.reference.links.torque_slope(self.q[at], self.qd[at], self.qdd[at]))
 
     @cached_property

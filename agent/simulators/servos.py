@@ -4,7 +4,8 @@ A MuJoCo `position` actuator, or a `general` one with affine bias, has the force
 l = gear · q. A control in the joint's unit (g = −b₁) is its set-point, r = u / gear, and the servo stands off it by
 b₀ / −b₁ gear. A control of another unit has its zero in b₀: there r is where the servo gives no force at standstill. So
 f = −b₁ gear (r + offset − q) + b₂ gear q̇, clamped to `forcerange`; the joint has gear · f, clamped to
-`actuatorfrcrange`.
+`actuatorfrcrange`. A `velocity` actuator on the same joint, whose set-point is zero, is the servo's damping and
+counts in its limits.
 """
 
 from __future__ import annotations
@@ -126,8 +127,9 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
         return f"{name} has no position actuator" + (" (what drives it holds no position)" if on_joint else "")
     a, gear = own[0], float(model.actuator_gear[own[0], 0])
     others = [b for b in on_joint if b != a and model.actuator_biastype[b] != int(mujoco.mjtBias.mjBIAS_NONE)]
-    if others:
-        return f"{name} has several actuators with a force of their own"
+    brakes = [_brake(mujoco, model, b) for b in others]
+    if None in brakes:
+        return f"{name} has several actuators with a force of their own that are no position and velocity of one servo"
     delay = float(np.ravel(getattr(model, "actuator_delay", np.zeros(model.nu))[a])[0])
     if model.actuator_gaintype[a] != fixed or model.actuator_dyntype[a] != int(mujoco.mjtDyn.mjDYN_NONE):
         return f"the actuator of {name} has a gain or filter of its own"
@@ -148,7 +150,22 @@ def _servo(mujoco: Any, model: Any, joint: int) -> tuple[int, tuple[float, ...]]
     if model.actuator_ctrllimited[a]:
         asked = np.sort((model.actuator_ctrlrange[a] - control[0]) / control[1])
     low, high = max(float(part[0]) for part in ranges), min(float(part[1]) for part in ranges)
-    return a, (-b1 * gear**2, -b2 * gear**2, low, high, *asked, *control, gear, delay, offset)
+    damping = -b2 * gear**2 + sum(filter(None, brakes))
+    return a, (-b1 * gear**2, damping, low, high, *asked, *control, gear, delay, offset)
+
+
+def _brake(mujoco: Any, model: Any, actuator: int) -> float | None:
+    """Damping [N·m·s/rad] that a velocity actuator adds to its joint; None for another kind."""
+    b0, b1, b2 = model.actuator_biasprm[actuator, :3].tolist()
+    plain = (
+        model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+        and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+    )
+    if not plain or b0 or b1 or b2 > 0:
+        return None
+    disabled = model.opt.disableactuator >> int(model.actuator_group[actuator]) & 1
+    return 0.0 if disabled else float(-b2 * model.actuator_gear[actuator, 0] ** 2)
 
 
 def _of(model: Any, actuator: int) -> int:

@@ -215,6 +215,24 @@ def test_servos_fifty_times_too_stiff_are_corrected(tmp_path, axis):
     assert error_of(out, other) < 4e-3 < 0.1 * error_of(stiff, other)
 
 
+def test_a_position_and_a_velocity_actuator_of_a_joint_are_one_servo(source, tmp_path):
+    both = ARM.replace(' kv="0.5"', "")
+    for joint in ("lift", "elbow"):
+        own = f'<position joint="{joint}"/>'
+        both = both.replace(own, f'{own}<velocity joint="{joint}" kv="0.5"/>')
+    file, out = tmp_path / "both.xml", tmp_path / "fixed.xml"
+    file.write_text(both, encoding="utf-8")
+    simulator, found = found_in(file, [recorded(source, k, gain=0.7) for k in (1, 2)])
+    np.testing.assert_allclose(simulator.arm.servos.damping, 0.5)
+    assert [cause["joints"] for cause in found.result["causes"]] == [["elbow"]]
+    write_corrected(simulator, corrected_numbers(found, simulator), out)
+    again = load_simulator(out, None, ("lift", "elbow"), None).arm.servos
+    np.testing.assert_allclose(again.stiffness, (20, 14), rtol=0.02)
+    np.testing.assert_allclose(again.damping, 0.5, atol=0.02)
+    file.write_text(both.replace("<velocity", "<position"), encoding="utf-8")
+    assert "several actuators" in load_simulator(file, None, ("lift", "elbow"), None).arm.servos
+
+
 def test_contacts_of_a_file_where_the_arm_was_recorded_are_left_out(source, tmp_path):
     blocked = tmp_path / "blocked.xml"
     post = '<worldbody><body name="post" pos="0.3 0 -0.1"><geom type="box" size="0.08 0.1 0.02"/></body>'

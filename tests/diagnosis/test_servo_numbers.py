@@ -16,8 +16,8 @@ from agent.simulators import KINDS, ServoNumbers
 
 NAMES = ("lift", "elbow")
 #: Of both joints, in the order of `KINDS`.
-FILE = ServoNumbers(*np.repeat([[0.03], [1.0], [0.05], [20.0], [0.02], [0.01]], 2, axis=1))
-TORQUE = ServoNumbers(*np.repeat([[0.1], [1.0], [0.2], [20.0], [0.0], [0.05]], 2, axis=1)).table
+FILE = ServoNumbers(*np.repeat([[0.03], [1.0], [0.05], [20.0], [0.5], [0.02], [0.01]], 2, axis=1))
+TORQUE = ServoNumbers(*np.repeat([[0.1], [1.0], [0.2], [20.0], [0.0], [0.0], [0.05]], 2, axis=1)).table
 
 
 def named(monkeypatch, effect: str, joints: tuple[str, ...], told: bool = True, **intervals) -> bool:

@@ -35,7 +35,7 @@ class PositionLayout:
     @classmethod
     def create(cls, base: int, joints: int) -> PositionLayout:
         """Of a model with a number of base parameters, and of joints."""
-        edges = np.cumsum([base, 2 * joints, joints, 1, *[joints] * 4]).tolist()
+        edges = np.cumsum([base, 2 * joints, joints, 1, joints, joints, joints, joints]).tolist()
         of_servos = (slice(*ends) for ends in pairwise(edges[1:]))
         return cls(slice(base), slice(base, edges[1], 2), slice(base + 1, edges[1], 2), *of_servos)
 
@@ -51,8 +51,9 @@ class ServoParameters:
 
     `covariance` (p, p) of all parameters as the file has them; `delay` [s] a usual one; `file`: its numbers; the rows
     are linear about a change `about` (p,). `spring` (n,) [N·m/rad] a usual one, None where the motion wants none;
-    `offset` (n,) [rad] a usual one, and `with_offset` the joints that may have one. `free_error`: (n,) [rad or m] of the arm's free motion with other numbers, and parameters (10,) that the last
-    link gains; `fit_error` (n,) that of the fit.
+    `offset` (n,) [rad] a usual one, and `with_offset` the joints that may have one. `free_error`: (n,) [rad or m] of
+    the arm's free motion with other numbers, and parameters (10,) that the last link gains; `fit_error` (n,) that of
+    the fit.
     `kp_known`: the file's kp are right. `cut` [rad or m]: how much nearer to the positions commands may have been cut,
     0 where they were not. `load` (10, 4): what the last link gains by a usual mass and usual first moments of a load
     there.

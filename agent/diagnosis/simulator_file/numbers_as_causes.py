@@ -95,7 +95,7 @@ def causes_of_numbers(
             causes.append(Cause(_NAMES[OFFSET], joint, closes(group), probability, parameters, alike, own_part))
         elif group.kind == SPRING:
             for spring in springs_as_effects(released.given, [group], change):
-                alike = tuple(EffectPlace(name, joint) for name in CATALOGUE[spring.effect].structurally_equivalent)
+                alike = tuple(NamedEffect(name, joint) for name in CATALOGUE[spring.effect].structurally_equivalent)
                 own_part = _on_joint(released, group, selected.causes, gap)
                 causes.append(
                     Cause(spring.effect, joint, closes(group), probability, dict(spring.parameters), alike, own_part)

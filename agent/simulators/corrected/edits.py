@@ -210,8 +210,12 @@ class MjcfEdits:
 
     def set_servo(self, k: int, gain: float, bias: list[float]) -> None:
         """Set gain and bias (b₀, b₁, b₂) of the position actuator of a joint; with an offset it becomes a general one,
-        which has the same defaults and names, but no gains and range of its joint."""
-        actuator = self._servo(k)
+        which has the same defaults and names, but no gains and range of its joint. A velocity actuator gives its kv to
+        it, and has none."""
+        actuator, name = self._servo(k), self._arm.file_joints[k]
+        for brake in self._all("velocity"):
+            if name in (brake.get("joint"), brake.get("jointinparent")):
+                brake.set("kv", "0")
         if bias[0] and actuator.tag == "position":
             actuator.tag, servos = "general", self._arm.servos
             assert isinstance(servos, PositionServos)
