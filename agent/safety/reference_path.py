@@ -81,8 +81,8 @@ class ReferencePath:
         """(P,) motion time up to each point [s] in which a joint is planned to be faster than `slowest` (n,)."""
         lasts = np.diff(self.plan_time, prepend=0.0)
         steps = np.abs(np.diff(self.q[self.rows], axis=0, prepend=self.q[self.rows[:1]]))
-        slow: np.ndarray = steps <= slowest * lasts[:, None]
-        return np.cumsum(lasts * ~slow.all(axis=1))
+        faster: np.ndarray = ~(steps <= slowest * lasts[:, None])
+        return np.cumsum(lasts * faster.any(axis=1))
 
     def index_at(self, time: Any) -> Any:
         """Index, in the shape of `time`, of the last point that is no later than a time [s] of the plan."""
