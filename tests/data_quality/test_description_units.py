@@ -39,7 +39,7 @@ def rescaled(robot, mass=1.0, length=1.0, centre=1.0):
         ({"length": 1e3}, "joint origins in mm:"),
         ({"centre": 1e3}, "with centres of mass in mm:"),
         ({"length": 1e3, "centre": 1e3}, "joint origins in mm and centres of mass in mm:"),
-        ({"mass": 1e3, "length": 1e3, "centre": 1e3}, "masses in g and joint origins in mm and centres of mass in mm:"),
+        ({"mass": 1e3, "length": 1e3, "centre": 1e3}, "masses in g, joint origins in mm and centres of mass in mm:"),
     ],
 )
 def test_unit_of_the_description_is_named(arm, units, said):
