@@ -18,7 +18,16 @@ from agent.link.effort import check_effort
 from agent.link.planning import interpolator_of, plan_program, torque_limits
 from agent.recipe import Recipe
 from agent.runs import robot_lock
-from agent.safety import FILE, FIRST_SPEED, CheckedPrograms, GuardedLink, PlannedProgram, slow_text
+from agent.safety import (
+    FILE,
+    FIRST_SPEED,
+    CheckedPrograms,
+    GuardedLink,
+    Permission,
+    PlannedProgram,
+    Surroundings,
+    slow_text,
+)
 from drivers.protocol import Identity, SampleBlock
 
 if TYPE_CHECKING:
@@ -232,14 +241,10 @@ def open_link(
             recipe.robot,
             controller.public_address,
             recipe.record.rate,
-            CheckedPrograms(runs / FILE),
+            Permission(CheckedPrograms(runs / FILE), yes, authorisation, watching),
             console.confirm,
             console.warn,
-            yes,
-            authorisation,
-            watching=watching,
-            tool=recipe.tool,
-            margin=recipe.motion.settings.fly_distance,
+            Surroundings(recipe.tool, recipe.motion.settings.fly_distance),
         )
         try:
             guard.open()

@@ -5,7 +5,7 @@ from .first_run import (
     CheckedPrograms as CheckedPrograms,
     slow_text as slow_text,
 )
-from .guard import GuardedLink as GuardedLink
+from .guard import GuardedLink as GuardedLink, Permission as Permission, Surroundings as Surroundings
 from .planned_program import PlannedProgram as PlannedProgram, is_standstill as is_standstill, pauses as pauses
 from .preconditions import (
     check_frames as check_frames,

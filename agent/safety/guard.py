@@ -12,6 +12,7 @@ import json
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,6 +51,29 @@ if TYPE_CHECKING:
 _AFTER_MOTION = "make sure that the arm rests, put that right, then run the command again"
 
 
+@dataclass(frozen=True)
+class Permission:
+    """Who said that the arm may move.
+
+    `checked`: programs that have had their slow first run. `yes`: a person said before that the cell is clear.
+    `authorisation`: what a person wrote down for when nobody is there. `watching`: the samples are for looking at, so a
+    link that delivers too little to identify from will do.
+    """
+
+    checked: CheckedPrograms
+    yes: bool = False
+    authorisation: Authorisation | None = None
+    watching: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What plans are made for: a tool, and how far from its plan that may be where the cell was checked [m]."""
+
+    tool: Tool | None = None
+    margin: float = 0.0
+
+
 class GuardedLink:
     """A controller link that nothing moves through unchecked.
 
@@ -58,15 +82,11 @@ class GuardedLink:
         robot: what the recipe is for.
         address: for messages, and to tell whether an emulator is on this machine.
         rate: of samples [Hz] that the recipe asks for.
-        checked: programs that have had their slow first run.
+        permission: who said that the arm may move.
         ask: puts a question to a person; True is yes.
         warn: tells what a person should know.
-        yes: a person said before that the cell is clear.
-        authorisation: what a person wrote down for when nobody is there.
+        surroundings: what the plans are made for.
         clock: seconds, for the watch.
-        watching: the samples are for looking at, so a link that delivers too little to identify from will do.
-        tool: that the plans are made for.
-        margin: how far from its plan the tool may be where the cell was checked [m].
     """
 
     def __init__(
@@ -75,29 +95,21 @@ class GuardedLink:
         robot: RobotDescription,
         address: str,
         rate: float,
-        checked: CheckedPrograms,
+        permission: Permission,
         ask: Callable[[str], bool],
         warn: Callable[[str], None],
-        yes: bool = False,
-        authorisation: Authorisation | None = None,
+        surroundings: Surroundings = Surroundings(),
         clock: Callable[[], float] = time.monotonic,
-        watching: bool = False,
-        tool: Tool | None = None,
-        margin: float = 0.0,
     ) -> None:
         self.robot = robot
         self.address = address
         self._driver = driver
         self._rate = rate
-        self._checked = checked
+        self._permission = permission
         self._ask = ask
         self._warn = warn
-        self._yes = yes
-        self._authorisation = authorisation
+        self._surroundings = surroundings
         self._clock = clock
-        self._watching = watching
-        self._tool = tool
-        self._margin = margin
         self._identity: Identity | None = None
         self._emulator = False
         self._watch: MotionWatch | None = None  # of a motion in which the arm may still move
@@ -131,16 +143,16 @@ class GuardedLink:
         check_identity(identity, self.robot, self.address)
         if not identity.watch_only:
             check_period(identity, self._rate, self.address)
-        elif not self._watching:
+        elif not self._permission.watching:
             raise ControllerError(f"{self.address}: {identity.watch_only}; agent record can watch as it is")
         else:
             self._warn(f"{self.address}: {identity.watch_only}")
         check_throughput(self._driver, identity, self.address)
-        if identity.unguarded and self._authorisation is not None:
+        if identity.unguarded and self._permission.authorisation is not None:
             raise ControllerError(f"{self.address}: {identity.unguarded}; somebody has to stand by")
         if identity.unguarded:
             self._warn(f"{self.address}: {identity.unguarded}; stay at the emergency stop")
-        if self._authorisation is None and not self._yes:
+        if self._permission.authorisation is None and not self._permission.yes:
             confirm_clear_cell(identity, status, self.address, self._ask)
         self._identity, self._emulator = identity, status.emulator
 
@@ -153,7 +165,7 @@ class GuardedLink:
     @property
     def _is_unwatched(self) -> bool:
         """Whether a motion is authorised that nobody has watched, and nobody watches now."""
-        return self._authorisation is not None and self._authorisation.unseen
+        return self._permission.authorisation is not None and self._permission.authorisation.unseen
 
     def needs_slow_run(self, program: PlannedProgram) -> bool:
         """Whether the program has to run slowly first: a machine, and a program that is new to it.
@@ -161,7 +173,7 @@ class GuardedLink:
         Raises:
             InputError: it has to, and nobody is there to watch.
         """
-        if self._emulator or self._checked.has(self.identity.serial or self.address, program.checksum):
+        if self._emulator or self._permission.checked.has(self.identity.serial or self.address, program.checksum):
             return False
         if self._is_unwatched:
             if not program.speed <= FIRST_SPEED:
@@ -170,10 +182,10 @@ class GuardedLink:
                     f"nobody there a new motion runs at no more than {FIRST_SPEED:g} m/s"
                 )
             return False
-        if self._authorisation is not None:
+        if self._permission.authorisation is not None:
             raise InputError(
                 f"{self.address}: program {program.checksum[:12]}… has never run on serial {self.identity.serial} with "
-                f"somebody watching ({self._checked.path} does not list it); run it once with --yes and no "
+                f"somebody watching ({self._permission.checked.path} does not list it); run it once with --yes and no "
                 "authorisation"
             )
         return not program.speed <= FIRST_SPEED
@@ -212,7 +224,9 @@ class GuardedLink:
         position = self._check(program)
         plan = program.chains or (standstill_plan(position),)
         period = self.identity.period
-        adherence = Adherence(plan, self.robot, self._tool, self._margin, period, program.longest_rest)
+        adherence = Adherence(
+            plan, self.robot, self._surroundings.tool, self._surroundings.margin, period, program.longest_rest
+        )
         watch = MotionWatch(
             self._driver, self.robot, self.address, period, adherence, program.longest, self._clock, self._warn
         )
@@ -252,7 +266,7 @@ class GuardedLink:
         if (
             over and program.chains and not self._emulator and not self._is_unwatched
         ):  # it moved, slowly or known before
-            self._checked.add(self.identity.serial or self.address, program.stands_for or program.checksum)
+            self._permission.checked.add(self.identity.serial or self.address, program.stands_for or program.checksum)
 
     def _start(self, program: PlannedProgram, watch: MotionWatch) -> DriverError | None:
         """Start a program while its samples are judged; returns why it failed where the arm may be moving all the same.
@@ -308,8 +322,8 @@ class GuardedLink:
 
     def _check(self, program: PlannedProgram) -> np.ndarray:
         """Everything that must be so before a start; returns (n,) where the arm stands."""
-        if self._authorisation is not None:
-            self._authorisation.check(
+        if self._permission.authorisation is not None:
+            self._permission.authorisation.check(
                 self.robot.name, self.identity.serial, program.checksum, program.speed, program.duration
             )
         if self.needs_slow_run(program):

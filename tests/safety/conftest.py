@@ -14,7 +14,7 @@ import pytest
 
 from agent.motion.interpolator import Trajectory
 from agent.robot import load_robot
-from agent.safety import CheckedPrograms, GuardedLink, PlannedProgram
+from agent.safety import CheckedPrograms, GuardedLink, Permission, PlannedProgram
 from agent.safety.authorisation import Authorisation, AuthorisationDocument, Limits
 from drivers.transports.tcp.driver import TcpDriver
 from drivers.wire import tcp
@@ -231,11 +231,9 @@ class Bench:
             self.robot,
             address or peer.address,
             rate,
-            self.checked,
+            Permission(self.checked, yes, **options),
             ask,
             self.warned.append,
-            yes,
-            **options,
         )
         return self.guard
 
