@@ -30,7 +30,7 @@ from agent.diagnosis.simulator_file.reversals import reversals_as_effects
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import IdentifiedModel
 from agent.robot import ParameterLayout
-from agent.simulators import Correction, PositionServos, Released, Simulator, correct, with_servos
+from agent.simulators import Correction, FittedChange, PositionServos, Released, Simulator, correct, with_servos
 
 #: Groups of one servo, in a file its actuator.
 _OF_SERVO = (GAIN, OFFSET, OWN_DELAY)
@@ -84,7 +84,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     reasons |= {(effect.effect, effect.joints): "how friction reverses" for effect in reversing}
     inertia = np.mean([np.diagonal(s.mass, axis1=1, axis2=2).mean(axis=0) for s in fit.signals], axis=0)
     unexplained = fit.error / fit.rows_per_independent
-    correction = correct(simulator, of_model, weight, unexplained, inertia, effects, released, reasons)
+    correction = correct(simulator, FittedChange(of_model, weight, unexplained, inertia), effects, released, reasons)
     given, gap = diagnosis.dataset.model, diagnosis.gap
     model = replace(
         correction.model,
@@ -132,7 +132,7 @@ def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correcti
         f"({simulator.arm.joint_names[worst]}: {before[worst]:.3g} before, {after[worst]:.3g} after)"
     )
     zero, count = np.zeros(len(simulator.model.values)), len(simulator.model.independent)
-    none = correct(simulator, zero, np.eye(count), 1.0, correction.inertia, (), Released(), {})
+    none = correct(simulator, FittedChange(zero, np.eye(count), 1.0, correction.inertia), (), Released(), {})
     return replace(none, notes=(*none.notes, note))
 
 

@@ -2,6 +2,7 @@ from .arm import SIMULATOR as SIMULATOR, SimulatedArm as SimulatedArm, model_of 
 from .corrected.corrected_file import write_corrected as write_corrected, written_files as written_files
 from .corrected.correction import (
     Correction as Correction,
+    FittedChange as FittedChange,
     Released as Released,
     correct as correct,
     with_servos as with_servos,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agent.model.rigid_friction import ModelEffect
-from agent.simulators import Released, correct, load_simulator
+from agent.simulators import FittedChange, Released, correct, load_simulator
 from tests.model.bench import written
 
 NAMES = ("pan", "lift", "turn")
@@ -89,7 +89,7 @@ def corrected(given, effects=(), links=(), rotors=(), friction=(), change=None, 
     released = Released(*({k: "because" for k in joints} for joints in (links, rotors, friction)))
     change = np.zeros(len(given.model.values)) if change is None else change
     weight = 1e4 * np.eye(len(given.model.independent))
-    return correct(given, change, weight, unexplained, np.ones(3), effects, released, {})
+    return correct(given, FittedChange(change, weight, unexplained, np.ones(3)), effects, released, {})
 
 
 def motion(seconds: float = 0.6):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.model import ModelEffect, possible_model
-from agent.simulators import Released, correct, export_model, load_arm, load_simulator, write_corrected
+from agent.simulators import FittedChange, Released, correct, export_model, load_arm, load_simulator, write_corrected
 
 ARMS = range(10)
 
@@ -52,7 +52,9 @@ def write_changed(path: Path, out: Path) -> None:
     offset = ModelEffect("encoder_offset", (names[n // 2],), {"offset": 0.01})
     released = Released(links={n - 1: "x"}, rotors={0: "x"}, friction=dict.fromkeys(range(n), "x"))
     information = 1e4 * np.eye(len(given.model.independent))
-    write_corrected(given, correct(given, change, information, 1.0, np.ones(n), [offset], released, {}), out)
+    write_corrected(
+        given, correct(given, FittedChange(change, information, 1.0, np.ones(n)), [offset], released, {}), out
+    )
 
 
 @pytest.mark.parametrize("seed", ARMS)
