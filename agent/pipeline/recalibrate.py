@@ -113,10 +113,7 @@ def run_recalibration(
             prediction = predict_log(refitted.model, log)
             met = conditions(log, refitted.model, prediction) | temperatures(recording)
             result = _result(job, reference, recording, refitted, comparison, met)
-            released = authorisation is not None and authorisation.document.new_motions is not None
-            ask = partial(_with_further_motions, job, reference.model, log) if released else None
-            worse = result["validation"]["worse_before"]
-            result["diagnosis"], cut_short = diagnose_if_worse(reference.model, worse, [log], run, console, ask)
+            cut_short = _diagnose(job, reference, log, result)
             current = current_run(logs, recipe.robot.name, run.state["serial"])
             result["current_model"] = run.path.name if result["accepted"] else current
         with job.step("report"):
@@ -127,18 +124,33 @@ def run_recalibration(
             page = recalibration_page(recipe, program, result, comparison, log, prediction, run.path)
             run.write_text("report.html", page)
             run.complete(result["accepted"])
-        register_run(run, console)
-        if result["accepted"]:
-            apply_run(logs, run.path)
-        runs = History(logs).runs(recipe.robot.name, run.state["serial"])
-        watched = [line for machine in watch(runs) for line in machine.lines()]
-        run.note(watch=watched)
-        outcome = job.end(result, recalibration_text(result, run.path))
-    for line in watched:
+        outcome, trend_warnings = _enter_into_history(job, result)
+    for line in trend_warnings:
         console.warn(line)
     if cut_short is not None:
         raise cut_short
     return outcome
+
+
+def _diagnose(job: Job, reference: Reference, log: Log, result: dict[str, Any]) -> BaseException | None:
+    """Put a diagnosis into the result if the reference model predicts worse than before; returns what cut it short."""
+    permitted = job.allowed is not None and job.allowed.document.new_motions is not None
+    ask = partial(_with_further_motions, job, reference.model, log) if permitted else None
+    worse = result["validation"]["worse_before"]
+    result["diagnosis"], cut_short = diagnose_if_worse(reference.model, worse, [log], job.run, job.console, ask)
+    return cut_short
+
+
+def _enter_into_history(job: Job, result: dict[str, Any]) -> tuple[Outcome, list[str]]:
+    """Register the run, make its model current if it was accepted, and say what the trends of the machine warn of."""
+    run, logs = job.run, job.logs
+    register_run(run, job.console)
+    if result["accepted"]:
+        apply_run(logs, run.path)
+    runs = History(logs).runs(job.recipe.robot.name, run.state["serial"])
+    trend_warnings = [line for machine in watch(runs) for line in machine.lines()]
+    run.note(watch=trend_warnings)
+    return job.end(result, recalibration_text(result, run.path)), trend_warnings
 
 
 def recalibration_text(result: dict[str, Any], run: Path) -> str:

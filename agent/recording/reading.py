@@ -74,32 +74,26 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
     scanned = scan(path)
     run = scanned.metadata.get(RUN, {})
     topics, names, left_out = choose_topics(path, scanned, robot, topic, run.get("robot"))
-    topic_wanted, topic = topic, topics[0]
     late = scanned.receive_delay(topics)
-    table = _table([group for each in topics for group in scanned.topics.pop(each)], names, scanned.scratch)
-    if table is None:
-        raise InputError(f"{path}: {topic}: no message holds finite numbers that an arm can have of {', '.join(names)}")
-    order = table.order(str(path))
-    table = replace(table.taken(order.rows, scanned.scratch), stamp=order.stamp)
-    table, cuts, mended = _mended(table, robot, scanned.scratch)
+    table, cuts, sample_repairs = _samples(path, scanned, topics, names, robot)
     stamp, arrays = table.stamp, table.arrays
     spacing = spacing_of(stamp, _nominal_rate(run))
     duration = (int(stamp[-1]) - int(stamp[0])) / NANO
-    repairs = [*left_out, *_file_repairs(scanned, topic, duration), *_run_repairs(run, spacing.repairs)]
-    repairs += [*table.repairs, *order.repairs, *mended, *spacing.repairs]
+    repairs = [*left_out, *_file_repairs(scanned, topics[0], duration), *_run_repairs(run, spacing.repairs)]
+    repairs += [*sample_repairs, *spacing.repairs]
     t = (stamp - stamp[0]) / NANO
     references, planned = (
-        _set_points(scanned, namesake(scanned, wanted, topic), names, stamp, spacing.rate, repairs)
+        _set_points(scanned, namesake(scanned, wanted, topics[0]), names, stamp, spacing.rate, repairs)
         for wanted in (REFERENCES, PLANNED)
     )
     if references is None:
-        commands = commanded(scanned, topics, names, stamp, arrays["position"], late, topic_wanted)
+        commands = commanded(scanned, topics, names, stamp, arrays["position"], late, topic)
         references = commands.values
         run = run | commands.facts
         repairs += commands.repairs
-    if topic in scanned.effort_is:
-        run = {EFFORT: scanned.effort_is[topic]} | run
-    if scanned.types[topic].endswith("(json)"):
+    if topics[0] in scanned.effort_is:
+        run = {EFFORT: scanned.effort_is[topics[0]]} | run
+    if scanned.types[topics[0]].endswith("(json)"):
         references, run = _in_radians(path, arrays, references, names, run)
     pieces = [[a, *(cut for cut in cuts if a < cut < b), b] for a, b in spacing.segments]
     return Log(
@@ -123,6 +117,21 @@ def read_log(path: str | Path, robot: RobotDescription | None = None, topic: str
         without_effort=table.without_effort,
         scratch=scanned.scratch,
     )
+
+
+def _samples(
+    path: Path, scanned: Scan, topics: Sequence[str], names: tuple[str, ...], robot: RobotDescription | None
+) -> tuple[_Table, tuple[int, ...], list[Repair]]:
+    """Samples of the named joints in order and mended, those to cut before, and what was repaired."""
+    table = _table([group for each in topics for group in scanned.topics.pop(each)], names, scanned.scratch)
+    if table is None:
+        raise InputError(
+            f"{path}: {topics[0]}: no message holds finite numbers that an arm can have of {', '.join(names)}"
+        )
+    order = table.order(str(path))
+    table = replace(table.taken(order.rows, scanned.scratch), stamp=order.stamp)
+    table, cuts, mended = _mended(table, robot, scanned.scratch)
+    return table, cuts, [*table.repairs, *order.repairs, *mended]
 
 
 def _mended(

@@ -97,8 +97,8 @@ def diagnose_recording(
     question.check([])
     reference, simulator = read_reference(loaded.robot, [], question, console)
     read_at_rest(loaded.robot, reference, question, console)
-    few = min(loaded.validate.motions, _VALIDATION_MOTIONS)
-    loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": few}))
+    validation_motions = min(loaded.validate.motions, _VALIDATION_MOTIONS)
+    loaded = replace(loaded, validate=loaded.validate.model_copy(update={"motions": validation_motions}))
     with robot_lock(loaded.controller.driver, loaded.controller.address):
         asked = {"cutoff": question.cutoff, "without": question.without, "budget": budget}
         options = [*question.options(), *options_of(budget)]
@@ -123,13 +123,7 @@ def diagnose_recording(
                 diagnose = partial(run_diagnosis, loaded.robot, question=question, console=console)
                 rounds = until_sure(diagnose, paths, job, remaining, question.planning_budget)
                 if rounds.cut_short is not None:
-                    more = rounds.uncounted and f"; {rounds.uncounted.name} is recorded but not counted"
-                    console.say(f"result of the earlier motions: {in_short(rounds.last.result)}{more or ''}")
-                    try:
-                        _answer_run(job, question, paths, simulator, on_result, rounds)
-                        console.say(f"the full result is in {run.path}")
-                    except AgentError as error:  # a full disk both cuts a motion short and prevents this
-                        console.warn(f"the result could not be saved: {error}")
+                    _save_cut_short(job, question, paths, simulator, on_result, rounds)
                     raise rounds.cut_short
         with job.step("diagnose"):
             result = _answer_run(job, question, paths, simulator, on_result, rounds)
@@ -137,6 +131,24 @@ def diagnose_recording(
         ended = job.end(result, f"{'page':20}{run.file('report.html')}")
     console.say(ended.text)
     return result
+
+
+def _save_cut_short(
+    job: Job,
+    question: GapQuestion,
+    paths: Sequence[Path],
+    simulator: Simulator | None,
+    on_result: Callable[[dict[str, Any]], None],
+    rounds: Rounds,
+) -> None:
+    """Say and save what the motions before one that was cut short show."""
+    uncounted_text = f"; {rounds.uncounted.name} is recorded but not counted" if rounds.uncounted else ""
+    job.console.say(f"result of the earlier motions: {in_short(rounds.last.result)}{uncounted_text}")
+    try:
+        _answer_run(job, question, paths, simulator, on_result, rounds)
+        job.console.say(f"the full result is in {job.run.path}")
+    except AgentError as error:  # a full disk both cuts a motion short and prevents this
+        job.console.warn(f"the result could not be saved: {error}")
 
 
 def diagnose_again(run: Path, robot: RobotDescription, source: str, console: Console) -> str:
@@ -196,10 +208,10 @@ def _published(
         steps = after_diagnosis(result, source, logs, question, recipe)
         result = {**result, "summary": summary(result, steps)}
         yield result
-        if wanted := [part for part in (page, question.report) if part is not None]:
+        if wanted := [page_path for page_path in (page, question.report) if page_path is not None]:
             html = diagnosis_report(run.diagnosis, run.simulated, steps, result)
-            for part in wanted:
-                write_atomically(part, html)
+            for page_path in wanted:
+                write_atomically(page_path, html)
 
 
 def _results(
