@@ -33,25 +33,6 @@ def test_answers_to_the_questions_of_a_newcomer_are_in_the_files_that_they_name(
         assert set(re.findall(r"`(\w+)`", names)) <= tops, question
 
 
-#: Of a via-point, a sample and a residual: how often a reader may turn back to a file that was left.
-MOST_TURNED = (6, 5, 4)
-
-
-def test_walks_lead_through_functions_that_are_there_and_seldom_turn_back():
-    section = (
-        (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Three walks")[1].split("\n## ")[0]
-    )
-    said = [int(count) for count in re.findall(r"\((\d+) turn-backs\):", section)]
-    walks = [re.findall(r"(?m)^\| `([\w/.]+)` \| `([\w.]+)` \|$", part) for part in section.split("turn-backs):")[1:]]
-    assert len(walks) == 3
-    for walk, count, most in zip(walks, said, MOST_TURNED, strict=True):
-        files = [file for file, _ in walk]
-        left = [file for k, file in enumerate(files) if k and file != files[k - 1]]
-        assert len([file for k, file in enumerate(left) if file in (files[0], *left[:k])]) == count <= most
-        for file, name in walk:
-            assert _resolves(f"{file.removesuffix('.py').replace('/', '.')}.{name}"), (file, name)
-
-
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_paths_named_on_the_page_exist(page: Path):
     text = page.read_text(encoding="utf-8")
