@@ -143,7 +143,7 @@ def _scores(results: Sequence[Result]) -> dict[str, Any]:
     sizes = Counter(result["causes"][0][2] for result in results if result["outcome"] == "in class")
     return {
         "runs": len(results),
-        "outcomes": {kind: counts(some) for kind, some in of.items()},
+        "outcomes": {kind: counts(of_kind) for kind, of_kind in of.items()},
         "all_of_two": share(of["two"], lambda result: result["all_named"]),
         "all_of_three": share(of["three"], lambda result: result["all_named"]),
         "further_wrong": share(

@@ -140,9 +140,9 @@ def _picture(rich: RichConsole, text: str, done: float | None) -> None:
 def end_progress() -> None:
     """Take the progress of a stage off the terminal: something else is to be shown, or the program ends."""
     global _shown
-    shown, _shown = _shown, None
-    if shown is not None:
-        shown.stop()
+    progress, _shown = _shown, None
+    if progress is not None:
+        progress.stop()
         atexit.unregister(end_progress)
 
 
@@ -155,10 +155,10 @@ def print_text(text: str) -> None:
 def print_path(path: Path) -> None:
     """A result's path on stdout; on a terminal it is a link that can be clicked (OSC 8)."""
     end_progress()
-    shown = fit_to_show(str(path))
+    text = fit_to_show(str(path))
     if sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb":
-        shown = f"\033]8;;{path.resolve().as_uri()}\033\\{shown}\033]8;;\033\\"
-    flush_results(f"{shown}\n")
+        text = f"\033]8;;{path.resolve().as_uri()}\033\\{text}\033]8;;\033\\"
+    flush_results(f"{text}\n")
 
 
 def print_json(data: Any) -> None:

@@ -49,8 +49,8 @@ def plus_minus(value: float, half: float) -> str:
         power = math.floor(math.log10(size))
         return f"({plus_minus(value / 10**power, half / 10**power)})e{power}"
     places = 1 - math.floor(math.log10(half))
-    shown = max(0, places)
-    return f"{round(value, places) + 0.0:.{shown}f} ± {round(half, places):.{shown}f}"
+    decimals = max(0, places)
+    return f"{round(value, places) + 0.0:.{decimals}f} ± {round(half, places):.{decimals}f}"
 
 
 #: Where a spreadsheet would begin a formula: at the start of a cell, or of what it takes for one.

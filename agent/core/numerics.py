@@ -52,11 +52,11 @@ def on_one_blas_thread(work: Callable[_Arguments, _Result]) -> Callable[_Argumen
     than to solve it, five times as long where other programs run."""
 
     @functools.wraps(work)
-    def alone(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+    def on_one_thread(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
         with one_blas_thread():
             return work(*args, **kwargs)
 
-    return alone
+    return on_one_thread
 
 
 @functools.cache

@@ -67,10 +67,10 @@ def _second_motion(log: Log, robot: RobotDescription) -> np.ndarray | None:
     last, at = [rows[0], None], [log.t[0], 0.0]
     track, lost = np.zeros(len(rows), int), 0
     for k in range(1, len(rows)):
-        away = [np.inf if p is None else np.max(np.abs(rows[k] - p)) for p in last]
+        distance = [np.inf if p is None else np.max(np.abs(rows[k] - p)) for p in last]
         allowed = [_TIMES * (log.t[k] - since) + _LATE for since in at]
-        nearest = int(away[1] < away[0])
-        if away[nearest] > allowed[nearest]:
+        nearest = int(distance[1] < distance[0])
+        if distance[nearest] > allowed[nearest]:
             lost += last[1] is not None
             nearest = 1 if last[1] is None else nearest
         track[k], last[nearest], at[nearest] = nearest, rows[k], log.t[k]
@@ -132,13 +132,13 @@ def unsigned_torque(logs: Sequence[Log]) -> np.ndarray:
     """
     effort = np.concatenate([log.effort for log in logs if log.effort is not None])
     way = np.concatenate([np.diff(log.position, axis=0) for log in logs])
-    there, back = np.maximum(way, 0).sum(axis=0), np.maximum(-way, 0).sum(axis=0)
+    forward, backward = np.maximum(way, 0).sum(axis=0), np.maximum(-way, 0).sum(axis=0)
     live = (travel(logs) > MOVING) & (np.ptp(effort, axis=0) > _NOTHING)
     unsigned = live & (effort.min(axis=0) >= 0)
     # one joint of several that carries its load one way may come near zero; one that turns back at it does not
-    least, near = (0.05, 0.1) if unsigned.sum() == live.sum() else (0.02, 0.02)
-    reaches_zero = np.quantile(effort, least, axis=0) < near * np.quantile(effort, 0.99, axis=0)
-    return np.asarray(unsigned & (np.minimum(there, back) > 0.2 * (there + back)) & reaches_zero)
+    least, near_zero = (0.05, 0.1) if unsigned.sum() == live.sum() else (0.02, 0.02)
+    reaches_zero = np.quantile(effort, least, axis=0) < near_zero * np.quantile(effort, 0.99, axis=0)
+    return np.asarray(unsigned & (np.minimum(forward, backward) > 0.2 * (forward + backward)) & reaches_zero)
 
 
 def stuck_joints(of: Recordings) -> Iterator[QualityFinding]:
@@ -244,8 +244,8 @@ def spoiled_samples(of: Recordings) -> Iterator[QualityFinding]:
                 spoiled.setdefault((f"{100 * share:.1f}", text, advice), []).append(joint)
         for (percent, text, advice), joints in spoiled.items():
             whose = of.named(np.array(joints))
-            said = f"{log.name}: the torque of {', '.join(whose)} {text.format(f'{percent} % of the samples')}"
-            yield QualityFinding(said, whose, float(percent) / 100, advice, refuses=False)
+            remark = f"{log.name}: the torque of {', '.join(whose)} {text.format(f'{percent} % of the samples')}"
+            yield QualityFinding(remark, whose, float(percent) / 100, advice, refuses=False)
 
 
 def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, str, str]]:
@@ -260,16 +260,16 @@ def _spoiled(torque: np.ndarray, position: np.ndarray) -> Iterator[tuple[float, 
     length = np.diff(np.append(starts, len(torque)))
     value, jump = torque[starts], np.abs(np.diff(torque[starts]))
     before, after = np.append(jump[:1], jump), np.append(jump, jump[-1:])
-    away = np.minimum(before, after)
+    smaller_step = np.minimum(before, after)
     ends = starts + length - 1
     size = float(np.sqrt(np.mean(torque**2)))
-    sides = np.where(length >= _RUN, np.maximum(before, after), away)  # a friction step is no dropout
+    sides = np.where(length >= _RUN, np.maximum(before, after), smaller_step)  # a friction step is no dropout
     dropped = (
         fine & (not _zero_is_a_level(levels, counts)) & (value == 0) & (sides > max(_STEPS * resolution, _ZERO * size))
     )
     largest, rows = np.unique(np.abs(torque), return_counts=True)
     clipped = fine and rows[-1] > _OFTEN * rows[-4:-1].max(initial=0)
-    held = ~dropped & (length >= _RUN) & (away > _STEPS * resolution) & (position[starts] != position[ends])
+    held = ~dropped & (length >= _RUN) & (smaller_step > _STEPS * resolution) & (position[starts] != position[ends])
     held &= ~(clipped & (np.abs(value) == largest[-1]))
     for samples, least, text, advice in (
         (

@@ -51,17 +51,17 @@ def position_units(of: Recordings) -> Iterator[QualityFinding]:
     furthest = np.max([np.abs(log.position).max(axis=0) for log in of.logs], axis=0)
     speeds = np.array([_speed(log.t, log.position, log.sample_rate) for log in of.logs]).max(axis=0)
     for which, unit, looks in ((of.turning, "rad", "degrees"), (~of.turning, "m", "mm")):
-        there = which & of.moving
-        if not there.any() or furthest[there].max() <= _LEAST[looks]:
+        moving_joints = which & of.moving
+        if not moving_joints.any() or furthest[moving_joints].max() <= _LEAST[looks]:
             continue
-        far, fast = (furthest / ranges)[there], (speeds / of.robot.max_velocity)[there]
+        far, fast = (furthest / ranges)[moving_joints], (speeds / of.robot.max_velocity)[moving_joints]
         far = far[np.isfinite(far)]
         if (len(far) and np.median(far) > _TOO_FAR[looks]) or np.median(fast) > _TOO_FAST[looks]:
-            k = int(np.flatnonzero(there)[np.argmax(fast)])
+            k = int(np.flatnonzero(moving_joints)[np.argmax(fast)])
             yield QualityFinding(
                 f"positions look like {looks}: {joints[k].name} comes to {furthest[k]:.4g} {unit} and moves at "
                 f"{np.max(fast):.3g} times its highest speed",
-                of.named(there),
+                of.named(moving_joints),
             )
             return
 

@@ -45,8 +45,8 @@ class _Build:
 
 def description_units(of: Recordings) -> Iterator[QualityFinding]:
     """Units of masses, lengths and centres of mass with which an impossible description becomes one of this arm."""
-    given = _Build.of(of.robot)
-    if given.mass <= 0 or given.reach <= 0 or given.possible:
+    build = _Build.of(of.robot)
+    if build.mass <= 0 or build.reach <= 0 or build.possible:
         return
     for units in sorted(product(_MASSES, _LENGTHS, _LENGTHS), key=lambda combination: sum(map(bool, combination))):
         robot = _with_units(of.robot, *units)
@@ -54,17 +54,18 @@ def description_units(of: Recordings) -> Iterator[QualityFinding]:
             continue
         weight = compared_weight(Recordings(robot, of.logs, of.others))
         if weight is not None and weight.alike.any():
-            shown = "" if weight.off().any() else "its gravity is that of the torques"
+            evidence = "" if weight.off().any() else "its gravity is that of the torques"
         else:  # axes along gravity
             inert = _inertia(of.robot, of) > _TOO_INERT >= _inertia(robot, of)
-            shown = "its inertia is that of the torques" if inert else ""
-        if not shown:
+            evidence = "its inertia is that of the torques" if inert else ""
+        if not evidence:
             continue
         which = dict(zip(("masses", "joint origins", "centres of mass"), units, strict=True))
         looks = and_list([f"{what} in {unit}" for what, unit in which.items() if unit])
         yield QualityFinding(
-            f"the description looks like one with {looks}: as it stands, the arm weighs {given.mass:.3g} kg, reaches "
-            f"{given.reach:.3g} m, and has centres of mass up to {given.centre:.3g} m from joints; converted, {shown}",
+            f"the description looks like one with {looks}: as it stands, the arm weighs {build.mass:.3g} kg, reaches "
+            f"{build.reach:.3g} m, and has centres of mass up to {build.centre:.3g} m from joints; converted, "
+            f"{evidence}",
             of.robot.joint_names,
             advice="a URDF is in kg and m: convert it (inertias too, kg·m²)",
         )

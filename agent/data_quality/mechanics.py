@@ -81,8 +81,8 @@ def implausible_mechanics(of: Recordings) -> Iterator[QualityFinding]:
 def _unrelated(plain: RigidFit) -> QualityFinding:
     """Torque that motion hardly explains: refused unless it predicts what is held out clearly better than none does."""
     torque, fold = plain.samples.torque, plain.samples.fold
-    away = (torque - torque.mean(axis=0)) ** 2
-    still = np.array([away[fold == part].sum(axis=0) for part in range(FOLDS)])
+    squared_deviation = (torque - torque.mean(axis=0)) ** 2
+    still = np.array([squared_deviation[fold == part].sum(axis=0) for part in range(FOLDS)])
     gain, error = _gain(still, plain.errors(torque))
     if _is_certain(gain, error):
         text, advice = (
@@ -175,10 +175,10 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
     robot, s, torque = plain.robot, plain.samples, plain.samples.torque
     names, n = robot.joint_names, robot.dof
     everyone = tuple(range(n))
-    given: np.ndarray = np.arange(n)
+    joint_numbers: np.ndarray = np.arange(n)
     turning = ~np.array([joint.prismatic for joint in robot.joints])
 
-    def moved(scale: np.ndarray | float = 1.0, order: np.ndarray = given) -> RigidFit:
+    def moved(scale: np.ndarray | float = 1.0, order: np.ndarray = joint_numbers) -> RigidFit:
         q, qd, qdd = (values[:, order] * scale for values in (s.q, s.qd, s.qdd))
         motion = replace(s, q=q, qd=qd, qdd=qdd, direction=s.direction[:, order] * np.sign(scale))
         return RigidFit(plain.dynamics, motion, plain.precision)
@@ -188,24 +188,24 @@ def _mistakes(plain: RigidFit, driven: np.ndarray) -> Iterator[_Mistake]:
 
     for k in np.flatnonzero(turning).tolist():
         for angle in _TURNS:
-            offset = np.where(given == k, angle, 0.0)
+            offset = np.where(joint_numbers == k, angle, 0.0)
             yield _Mistake(_zeros_text(robot, offset), _with_zeros(plain, offset), torque, (k,), True)
     for gravity in (*gravity_axes(robot), *_tilted(plain)):
         yield _Mistake(gravity_text(robot, gravity), under(gravity), torque, everyone)
     yield _Mistake("these torques carry no gravity", under((0.0, 0.0, 0.0)), torque, everyone)
     if np.abs(s.q[:, turning]).max(initial=0.0) > np.pi:
         yield _Mistake("positions look like degrees", moved(np.where(turning, np.pi / 180, 1.0)), torque, everyone)
-    alone = np.flatnonzero(~_in_unison(s.q).any(axis=0)).tolist()
-    for k in alone:
-        sign = np.where(given == k, -1.0, 1.0)
+    separate_joints = np.flatnonzero(~_in_unison(s.q).any(axis=0)).tolist()
+    for k in separate_joints:
+        sign = np.where(joint_numbers == k, -1.0, 1.0)
         flipped = moved(sign)
         if driven[k]:
             yield _Mistake(f"the torque of {names[k]} looks flipped", plain, torque * sign, (k,))
             yield _Mistake(f"the position of {names[k]} looks flipped", flipped, torque, (k,))
         yield _Mistake(f"position and torque of {names[k]} look flipped", flipped, torque * sign, (k,))
-    yield from (mistake for mistake in _from_base(plain) if mistake.about[0] in alone)
-    for a, b in combinations(alone, 2):
-        order = given.copy()
+    yield from (mistake for mistake in _from_base(plain) if mistake.about[0] in separate_joints)
+    for a, b in combinations(separate_joints, 2):
+        order = joint_numbers.copy()
         order[[a, b]] = b, a
         who = f"{names[a]} and {names[b]}"
         swapped = moved(order=order)
@@ -276,14 +276,14 @@ def _pushing(fit: RigidFit, torque: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     s, columns, n = fit.samples, fit.columns, fit.robot.dof
     friction = slice(11 * n, 13 * n)
     push = np.zeros((n, columns.shape[2]))  # by a unit of each parameter
-    some = s.q[:: max(1, len(s.q) // 10)]
-    at_rest = fit.regressor(some, 0 * some, 0 * some)
+    postures = s.q[:: max(1, len(s.q) // 10)]
+    at_rest = fit.regressor(postures, 0 * postures, 0 * postures)
     for k in range(n):
         speed = max(float(np.sqrt(np.mean(s.qd[:, k] ** 2))), 1e-12)
         moving = s.direction[:, k][np.abs(s.direction[:, k]) > 0.5]
         if len(moving) and min(np.mean(moving > 0), np.mean(moving < 0)) > _ONE_WAY:
             push[k, friction] = -np.mean(columns[:, k, friction] * s.qd[:, k, None], axis=0) / speed
-        inertia = (fit.regressor(some, 0 * some, np.tile(np.eye(n)[k], (len(some), 1))) - at_rest)[:, k]
+        inertia = (fit.regressor(postures, 0 * postures, np.tile(np.eye(n)[k], (len(postures), 1))) - at_rest)[:, k]
         push[k, : 11 * n] = -np.mean(inertia, axis=0) * np.sqrt(np.mean(s.qdd[:, k] ** 2))
     square = np.sum(torque**2, axis=0)
     push /= np.sqrt(np.where(square > 0, square, len(torque)) / len(torque))[:, None]
@@ -334,7 +334,7 @@ def _best_zeros(plain: RigidFit) -> tuple[float, float, np.ndarray]:
     before, offsets = plain.errors(torque), [*_quarter_turns(plain.robot)]
     gains = [_gain(before, _with_zeros(plain, offset).errors(torque)) for offset in offsets]
     single = [k for k, offset in enumerate(offsets) if np.count_nonzero(offset) == 1]
-    best, of_one = (max(some, key=lambda k: gains[k][0]) for some in (range(len(gains)), single))
+    best, of_one = (max(candidates, key=lambda k: gains[k][0]) for candidates in (range(len(gains)), single))
     best = of_one if gains[best][0] - gains[of_one][0] < gains[best][1] else best
     return *gains[best], offsets[best]
 
@@ -343,9 +343,9 @@ def _quarter_turns(robot: RobotDescription) -> Iterator[np.ndarray]:
     """(n,) [rad] of one turning joint, or of two."""
     turning = [k for k, joint in enumerate(robot.joints) if not joint.prismatic]
     for count in (1, 2):
-        for some, angles in product(combinations(turning, count), product(_TURNS, repeat=count)):
+        for turned_joints, angles in product(combinations(turning, count), product(_TURNS, repeat=count)):
             offset = np.zeros(robot.dof)
-            offset[list(some)] = angles
+            offset[list(turned_joints)] = angles
             yield offset
 
 

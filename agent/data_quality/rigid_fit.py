@@ -59,11 +59,11 @@ class FitSamples:
 
     def in_motion(self) -> FitSamples:
         """Those without the pauses."""
-        kept = self.moving
+        moving = self.moving
         names = ("q", "qd", "qdd", "torque", "direction", "fold")
-        parts = {name: getattr(self, name)[kept] for name in names}
-        braked = None if self.braked is None else self.braked[kept]
-        return replace(self, **parts, independent=self.independent * float(kept.mean()), braked=braked)
+        parts = {name: getattr(self, name)[moving] for name in names}
+        braked = None if self.braked is None else self.braked[moving]
+        return replace(self, **parts, independent=self.independent * float(moving.mean()), braked=braked)
 
 
 def fit_samples(logs: Sequence[Log]) -> FitSamples | None:
@@ -177,12 +177,12 @@ class RigidFit:
         moments = self._moments(torque)
         whole, held_out = moments.sum(axis=0), np.empty(moments.shape[:2])
         weights = _fitted(whole, self)[1]
-        away = (torque - torque.mean(axis=0)) ** 2
+        squared_deviation = (torque - torque.mean(axis=0)) ** 2
         products = moments.reshape(*moments.shape[:2], -1)
         of_folds = (weights @ products).reshape(-1, *moments.shape[2:])
         for fold, parameters in enumerate(_solved(of_folds.sum(axis=0) - of_folds, self.precision)):
             error = _squared_error(moments[fold], parameters)
-            held_out[fold] = np.minimum(error, away[self.samples.fold == fold].sum(axis=0))
+            held_out[fold] = np.minimum(error, squared_deviation[self.samples.fold == fold].sum(axis=0))
         # a joint without torque says nothing, whatever is fitted
         return np.where(whole[:, -1, -1] > 0, np.maximum(held_out, _LEAST * whole[:, -1, -1] + 1e-300), 1.0)
 

@@ -42,10 +42,10 @@ def passive_errors(fit: RigidFit, torque: np.ndarray) -> np.ndarray:
 def _limits(fit: RigidFit) -> np.ndarray:
     """(m, p) products with parameters that are not negative: inertia about each joint, and friction at each node."""
     s, n = fit.samples, fit.robot.dof
-    some = s.q[:: max(1, len(s.q) // _POSTURES)]
-    zero = 0 * some
-    still = fit.regressor(some, zero, zero)
-    moved = [(fit.regressor(some, zero, zero + unit) - still)[:, k] for k, unit in enumerate(np.eye(n))]
+    postures = s.q[:: max(1, len(s.q) // _POSTURES)]
+    zero = 0 * postures
+    still = fit.regressor(postures, zero, zero)
+    moved = [(fit.regressor(postures, zero, zero + unit) - still)[:, k] for k, unit in enumerate(np.eye(n))]
     inertia = np.concatenate(moved)
     count = _NODES * n
     lines = [np.hstack([inertia, np.zeros((len(inertia), count + n))])]

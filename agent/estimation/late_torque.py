@@ -106,9 +106,11 @@ def _joints(observation: Observation) -> Iterator[_Joint]:
             speed = segment.speed[:, joint]
             turns = (np.abs(speed) <= slowest[joint]) | (np.diff(speed < 0, append=speed[-1] < 0))
             turns[[0, -1]] = True
-            away = np.convolve(turns, np.ones(2 * reach + 1))[reach : reach + len(turns)] < 0.5
-            if away.any():
-                parts[joint].append((CubicSpline(time, segment.torque[:, joint]), time[away], columns[away]))
+            far_from_turns = np.convolve(turns, np.ones(2 * reach + 1))[reach : reach + len(turns)] < 0.5
+            if far_from_turns.any():
+                parts[joint].append(
+                    (CubicSpline(time, segment.torque[:, joint]), time[far_from_turns], columns[far_from_turns])
+                )
     for torque, times, rows in (zip(*of_joint, strict=True) for of_joint in parts if of_joint):
         columns = np.concatenate(rows)
         columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)

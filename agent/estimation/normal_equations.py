@@ -149,11 +149,11 @@ def log_evidence(total: np.ndarray, prior: Prior, prior_weight: float) -> float:
     Of N(y; X θ, 1/w), rows counting 1/k each, and θ from N(θ₀, Λ⁻¹): -½ (r² / k + |θ̂ - θ₀|²_Λ + ln |A/k + Λ| - ln |Λ|).
     """
     estimate = solve_sum(total, prior, prior_weight)
-    extended, away = np.append(estimate, -1.0), estimate - prior.mean
+    extended, deviation = np.append(estimate, -1.0), estimate - prior.mean
     scale = 1 / np.sqrt(np.diag(prior.precision))
     before = prior.precision * np.outer(scale, scale)
     after = before + total[:-1, :-1] * np.outer(scale, scale) / prior_weight
-    misfit = extended @ total @ extended / prior_weight + away @ prior.precision @ away
+    misfit = extended @ total @ extended / prior_weight + deviation @ prior.precision @ deviation
     return float(-0.5 * (misfit + np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1]))
 
 

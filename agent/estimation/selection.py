@@ -237,26 +237,27 @@ def _between(grid: list[Reversal], error: np.ndarray) -> Reversal:
 
 
 def _trial(
-    train: np.ndarray, test: np.ndarray, prior: Prior, prior_weight: float, taken: np.ndarray, candidates: np.ndarray
+    train: np.ndarray, test: np.ndarray, prior: Prior, prior_weight: float, selected: np.ndarray, candidates: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Squared error on `test` of the taken columns fitted on `train`, and with each candidate (c,) besides."""
+    """Squared error on `test` of the selected columns fitted on `train`, and with each candidate (c,) besides."""
     matrix = train[:-1, :-1] + prior_weight * prior.precision
     right = train[:-1, -1] + prior_weight * prior.precision @ prior.mean
     scale = 1 / np.sqrt(np.diag(matrix))
-    a = matrix[np.ix_(taken, taken)] * np.outer(scale[taken], scale[taken])
-    b = np.column_stack([matrix[np.ix_(taken, candidates)], right[taken]]) * scale[taken][:, None]
-    solved = scale[taken][:, None] * np.linalg.solve(a, b)
+    a = matrix[np.ix_(selected, selected)] * np.outer(scale[selected], scale[selected])
+    b = np.column_stack([matrix[np.ix_(selected, candidates)], right[selected]]) * scale[selected][:, None]
+    solved = scale[selected][:, None] * np.linalg.solve(a, b)
     along, fit = solved[:, :-1], solved[:, -1]
-    curvature = matrix[candidates, candidates] - np.sum(matrix[np.ix_(taken, candidates)] * along, axis=0)
-    slope = right[candidates] - matrix[np.ix_(candidates, taken)] @ fit
+    curvature = matrix[candidates, candidates] - np.sum(matrix[np.ix_(selected, candidates)] * along, axis=0)
+    slope = right[candidates] - matrix[np.ix_(candidates, selected)] @ fit
     step = slope / np.maximum(curvature, 1e-9 * matrix[candidates, candidates])
 
-    residual = test[:, taken] @ fit - test[:, -1]  # gradient of half the error in every column, the torque's included
-    error = fit @ residual[taken] - residual[-1]
-    inner = test[np.ix_(taken, taken)] @ along
-    bend = np.sum(along * inner, axis=0) - 2 * np.sum(along * test[np.ix_(taken, candidates)], axis=0)
+    # gradient of half the error in every column, the torque's included
+    residual = test[:, selected] @ fit - test[:, -1]
+    error = fit @ residual[selected] - residual[-1]
+    inner = test[np.ix_(selected, selected)] @ along
+    bend = np.sum(along * inner, axis=0) - 2 * np.sum(along * test[np.ix_(selected, candidates)], axis=0)
     bend = bend + test[candidates, candidates]
-    lean = residual[candidates] - residual[taken] @ along
+    lean = residual[candidates] - residual[selected] @ along
     return float(error), error + 2 * step * lean + step**2 * bend
 
 
@@ -274,11 +275,11 @@ def _forward_selection(problem: Problem, weights: np.ndarray, count: int) -> np.
         own = np.append(columns, len(total) - 1)
         return log_evidence(total[np.ix_(own, own)], prior.select(columns), prior_weight)
 
-    taken = list(range(count))
+    selected = list(range(count))
     while True:
-        present = {names[k] for k in taken}
+        present = {names[k] for k in selected}
         free = np.array([k for k, name in enumerate(names) if name not in present], dtype=int)
-        columns = np.concatenate([np.arange(base), base + np.array(taken)])
+        columns = np.concatenate([np.arange(base), base + np.array(selected)])
         trials = [_trial(a, b, prior, prior_weight, columns, base + free) for a, b in zip(train, test, strict=True)]
         gains = np.array([before - after for before, after in trials])
         mean = gains.sum(axis=0)
@@ -287,10 +288,10 @@ def _forward_selection(problem: Problem, weights: np.ndarray, count: int) -> np.
         for k in np.flatnonzero((mean > least) & ~worth):
             worth[k] = evidence(np.append(columns, base + free[k])) - evidence(columns) > _VERY_STRONG
         if not worth.any():
-            return np.array(sorted(taken, key=lambda k: (axles[k], k)))
+            return np.array(sorted(selected, key=lambda k: (axles[k], k)))
         for axle in np.unique(axles[free[worth]]):
             options = np.flatnonzero(worth & (axles[free] == axle))
-            taken.append(int(free[options[np.argmax(mean[options])]]))
+            selected.append(int(free[options[np.argmax(mean[options])]]))
 
 
 _NOT_WORSE = 1.25  # J over its least value, mean of the joints

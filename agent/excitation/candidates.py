@@ -302,8 +302,8 @@ def posture(kinematics: Kinematics, regions: ViaRegions) -> np.ndarray:
     options = solutions.q[0, solutions.within_limits[0]]
     around = kinematics.inverse(edges)
     reached = np.array([_reached(kinematics, around.q, around.within_limits, option) for option in options])
-    away = np.linalg.norm(options - kinematics.middle, axis=1)
-    return options[np.lexsort((away, -reached))[0]]
+    from_middle = np.linalg.norm(options - kinematics.middle, axis=1)
+    return options[np.lexsort((from_middle, -reached))[0]]
 
 
 def _reached(kinematics: Kinematics, q: np.ndarray, allowed: np.ndarray, option: np.ndarray) -> int:

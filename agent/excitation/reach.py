@@ -53,11 +53,11 @@ def check_sub_region(problem: LoopProblem) -> list[OutOfReach]:
             if complaint is not None:
                 missed.append(OutOfReach(point, place, complaint))
     for point in range(regions.count):
-        mine = [miss for miss in missed if miss.point == point]
-        if any(miss.place == "middle" for miss in mine) or 2 * len(mine) > len(_PLACES):
+        of_point = [miss for miss in missed if miss.point == point]
+        if any(miss.place == "middle" for miss in of_point) or 2 * len(of_point) > len(_PLACES):
             (middle,) = regions.poses(np.tile(MIDDLE["middle"], regions.count))[point : point + 1]
             raise InputError(
-                f"{mine[0]}; {len(mine)} of {len(_PLACES)} places asked in this region are out of reach: "
+                f"{of_point[0]}; {len(of_point)} of {len(_PLACES)} places asked in this region are out of reach: "
                 f"move or shrink motion.via_points{_turned(kinematics, middle)}"
             )
     return missed

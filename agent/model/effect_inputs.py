@@ -44,13 +44,13 @@ class NominalModel:
         links = nominal.standard_parameters()
         mean, prior_std = _doubt(self.robot, nominal, links)
         spread = (model.projection * prior_std**2) @ model.projection.T
-        away = model.base_values - model.projection @ mean
-        standard = mean + prior_std**2 * (model.projection.T @ np.linalg.solve(spread, away))
+        difference = model.base_values - model.projection @ mean
+        standard = mean + prior_std**2 * (model.projection.T @ np.linalg.solve(spread, difference))
         layout = ParameterLayout.of(self.robot)
         self.links: Dynamics = nominal.with_parameters(standard[layout.links])
         # a description without masses, or with invented ones, does not give their size; the model does
         if np.any(links):
-            times = _times_further(away, spread, model.covariance[: len(away), : len(away)])
+            times = _times_further(difference, spread, model.covariance[: len(difference), : len(difference)])
         else:
             times = _liftable(self.links, nominal) / prior_std[0]
         self.prior_std = times * prior_std
@@ -120,13 +120,13 @@ def _doubt(robot: RobotDescription, nominal: Dynamics, links: np.ndarray) -> tup
     return np.append(blocks.ravel(), rotors), np.append(0.5 * scale.ravel(), np.where(rotors > 0, 0.5 * rotors, usual))
 
 
-def _times_further(away: np.ndarray, spread: np.ndarray, covariance: np.ndarray) -> float:
+def _times_further(difference: np.ndarray, spread: np.ndarray, covariance: np.ndarray) -> float:
     """Factor on the prior deviations by which a model finds its description wrong; at least 1.
 
-    `away` (b,): base parameters of the model less those of the description; `spread` (b, b): their covariance by the
-    prior; `covariance` (b, b): that of the model, all in the base parameters' units. The s with most evidence for
-    `away` ~ N(0, s² spread + covariance) (MacKay, Neural Computation 4, 1992): about a tenth for a description that was
-    measured, hundreds for links of ten grams that stand in for unknown ones.
+    `difference` (b,): base parameters of the model less those of the description; `spread` (b, b): their covariance by
+    the prior; `covariance` (b, b): that of the model, all in the base parameters' units. The s with most evidence for
+    `difference` ~ N(0, s² spread + covariance) (MacKay, Neural Computation 4, 1992): about a tenth for a description
+    that was measured, hundreds for links of ten grams that stand in for unknown ones.
     """
 
     def evidence(times: float) -> float:
@@ -135,7 +135,7 @@ def _times_further(away: np.ndarray, spread: np.ndarray, covariance: np.ndarray)
         values, vectors = symmetric_eigen(total / np.outer(unit, unit))
         values = np.maximum(values, 1e-12)
         return float(
-            -np.sum(np.log(values)) - 2 * np.sum(np.log(unit)) - np.sum((vectors.T @ (away / unit)) ** 2 / values)
+            -np.sum(np.log(values)) - 2 * np.sum(np.log(unit)) - np.sum((vectors.T @ (difference / unit)) ** 2 / values)
         )
 
     return max(np.geomspace(1.0, 1e4, 41), key=evidence)

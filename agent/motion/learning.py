@@ -73,16 +73,16 @@ class Learner:
         """
         errors = []
         for recorded, planned in self._pairs(parameters, self._all):
-            away = self._distances(recorded, planned, lambda q: self._forward(q)[:, :3, 3])
+            distances = self._distances(recorded, planned, lambda q: self._forward(q)[:, :3, 3])
             duration = float(recorded.t[-1] - recorded.t[0])
-            errors.append((1e3 * away.max(), 100.0 * np.max(np.abs(_late(recorded, planned))) / duration))
+            errors.append((1e3 * distances.max(), 100.0 * np.max(np.abs(_late(recorded, planned))) / duration))
         path, time = np.max(errors, axis=0)
         return Errors(float(path), float(time))
 
     def _off_path(self, parameters: FlyParameters) -> float:
         """Root mean square distance from the planned path, in joints [rad]: of the tool's turn too."""
-        away = [self._distances(*pair, lambda q: q) for pair in self._pairs(parameters, self._taught)]
-        return float(np.sqrt(np.mean(np.square(away))))
+        distances = [self._distances(*pair, lambda q: q) for pair in self._pairs(parameters, self._taught)]
+        return float(np.sqrt(np.mean(np.square(distances))))
 
     def _off_time(self, parameters: FlyParameters) -> float:
         """Root mean square difference [s] of the times at which the same point is passed."""

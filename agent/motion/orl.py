@@ -223,8 +223,10 @@ class OrlInterpolator:
             steps.append(np.where(self._sliding, 1e-3 * q, np.radians(q)))
             jump = np.abs(steps[0] - start)
             if len(steps) == 1 and np.any(jump > 2.0 * self.robot.max_velocity * self.period):
-                away = np.degrees(jump.max())
-                raise _refusal(chain[0][0], f"the library's arm is {away:.3g} degrees away from where ours starts")
+                degrees_off = np.degrees(jump.max())
+                raise _refusal(
+                    chain[0][0], f"the library's arm is {degrees_off:.3g} degrees away from where ours starts"
+                )
             if status == _NEED_DATA and announced < len(chain):
                 self._announce(*chain[announced], None)
                 announced += 1
@@ -275,8 +277,12 @@ class OrlInterpolator:
             raise _refusal(index, f"the library refuses the move: {refused}") from None
 
     def _check_arrival(self, index: int, move: Move, q: np.ndarray) -> None:
-        if (away := float(self._distances(move, q[None])[0])) > _ARRIVED:
-            far = f"{np.degrees(away):.3g} degrees" if isinstance(move.target, JointTarget) else f"{1e3 * away:.3g} mm"
+        if (distance := float(self._distances(move, q[None])[0])) > _ARRIVED:
+            far = (
+                f"{np.degrees(distance):.3g} degrees"
+                if isinstance(move.target, JointTarget)
+                else f"{1e3 * distance:.3g} mm"
+            )
             raise _refusal(index, f"the library ended {far} from the target: another arm or other frames?")
 
     def _distances(self, move: Move, q: np.ndarray) -> np.ndarray:

@@ -263,5 +263,5 @@ def left_open(statements: Iterable[Statement], tool: Tool | None, names: Mapping
         else:
             frames = set() if move.type is MoveType.JOINT and not move.fly else {"tool"}
         needed |= {frame for frame in frames if getattr(move.settings, frame) is None}
-    taken = {"base": np.eye(4), "tool": tool_frame(tool), "uframe": np.eye(4)}
-    return {names[frame]: taken[frame] for frame in names if frame in needed}
+    frame_by_name = {"base": np.eye(4), "tool": tool_frame(tool), "uframe": np.eye(4)}
+    return {names[frame]: frame_by_name[frame] for frame in names if frame in needed}

@@ -141,12 +141,12 @@ class Page:
 
 def render(page: Page) -> str:
     """HTML text: no script or picture from anywhere else, light and dark, printable."""
-    shown = [section for section in page.sections if section is not None]
+    shown_sections = [section for section in page.sections if section is not None]
     sections = [
         (name, section, [_part(part) for part in section.parts])
-        for name, section in zip(_identifiers(shown), shown, strict=True)
+        for name, section in zip(_identifiers(shown_sections), shown_sections, strict=True)
     ]
-    kinds = {type(part) for section in shown for part in section.parts}
+    kinds = {type(part) for section in shown_sections for part in section.parts}
     library = _uplot() if Plot in kinds else {}
     scripts = [library["uPlot.iife.js"], asset("agent.pages", "plots.js")] if library else []
     scripts += [asset("agent.pages", "scene.js")] if Scene in kinds else []
@@ -171,8 +171,14 @@ def _part(part: Table | Plot | Scene) -> dict[str, Any]:
         csv = base64.b64encode(csv_text(rows).encode()).decode("ascii")
         return {"kind": "table", "part": part, "html": table_html(part), "csv": f"data:text/csv;base64,{csv}"}
     if isinstance(part, Plot):
-        shown = for_screen(part)
-        return {"kind": "plot", "part": shown, "svg": still(shown), "spec": spec(shown), "csv": packed(plot_csv(shown))}
+        on_screen = for_screen(part)
+        return {
+            "kind": "plot",
+            "part": on_screen,
+            "svg": still(on_screen),
+            "spec": spec(on_screen),
+            "csv": packed(plot_csv(on_screen)),
+        }
     return scene_part(part)
 
 
@@ -218,8 +224,8 @@ def _uplot() -> dict[str, str]:
     folder = Path(spec.origin).parent / "static"
     script = (folder / "uPlot.iife.js").read_text(encoding="utf-8")
     lines = (line.strip() for line in script.splitlines())
-    kept = "\n".join(line for line in lines if line and not line.startswith("//"))
-    return {"uPlot.iife.js": kept, "uPlot.min.css": (folder / "uPlot.min.css").read_text(encoding="utf-8")}
+    code = "\n".join(line for line in lines if line and not line.startswith("//"))
+    return {"uPlot.iife.js": code, "uPlot.min.css": (folder / "uPlot.min.css").read_text(encoding="utf-8")}
 
 
 def _look(cells: Sequence[str]) -> str:

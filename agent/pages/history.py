@@ -195,8 +195,8 @@ def _errors(runs: Sequence[PastRun], current: Collection[str], robot: str, seria
         looks = {"accepted": (accepted, SERIES[2]), "rejected": (~accepted, SERIES[1])}
         looks |= {"current model": (marked, SERIES[0])} if (marked & own_kind).any() else {}
         series = [
-            Series(name, np.where(shown & own_kind, worst, np.nan), "points", colour)
-            for name, (shown, colour) in looks.items()
+            Series(name, np.where(mask & own_kind, worst, np.nan), "points", colour)
+            for name, (mask, colour) in looks.items()
         ]
         if lowest <= _GATE_SHOWN * worst.max():
             series.append(Series("gate", gates, "dashed", SERIES[3]))

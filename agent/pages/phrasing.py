@@ -265,7 +265,7 @@ def summary(result: Mapping[str, Any], steps: Sequence[NextStep] = ()) -> dict[s
 def _where(result: Mapping[str, Any]) -> Iterator[str]:
     worst = result["where"][0]["joint"] if result["where"] else ""
     sentences = list(where_sentences(result))
-    if result["causes"] and not any(said.startswith(f"{place(result['causes'][0])} has") for said in sentences):
+    if result["causes"] and not any(sentence.startswith(f"{place(result['causes'][0])} has") for sentence in sentences):
         yield f"{_opening(result['causes'][0])}."
     if not has_torque_gap(result):
         yield _in_torque(result)
@@ -275,8 +275,8 @@ def _where(result: Mapping[str, Any]) -> Iterator[str]:
         return
     yield from sentences
     own = result["causes"][0]["joints"] if result["causes"] else []
-    shown = [worst] if worst in own or len(own) != 1 else [own[0], worst]
-    for joint in filter(None, shown):
+    named_joints = [worst] if worst in own or len(own) != 1 else [own[0], worst]
+    for joint in filter(None, named_joints):
         yield f"{_judged(result)} error of {joint} on held-out motion: {_error(result, joint)}."
 
 
@@ -363,8 +363,8 @@ def _how_sure(result: Mapping[str, Any]) -> Iterator[str]:
 def _found_if_there(result: Mapping[str, Any]) -> str:
     """Confidence in "no gap": the effects that would have been found, joint by joint, and the model's own error."""
     detectable, count = testable_counts(result)
-    some = f"{detectable} of {count} effects, counted joint by joint,"
-    known = "Every effect" if detectable == count else some if detectable else "No effect"
+    detectable_text = f"{detectable} of {count} effects, counted joint by joint,"
+    known = "Every effect" if detectable == count else detectable_text if detectable else "No effect"
     error = result.get("model_error") or 0.0
     limits = f" The model errs by {100 * error:.0f} % of the torque." if error > LIMITS.weak_model else ""
     return f"{known} of practical size would have been found (80 % power).{limits}"

@@ -102,5 +102,5 @@ def arm_picture(robot: RobotDescription, q: np.ndarray, marked: Collection[str])
     flat = _MARGIN + flat * (_PICTURE - 2 * _MARGIN) / np.ptp(points, axis=0).max()
     wide, high = flat.max(axis=0) + _MARGIN
     joints = list(zip(robot.joint_names, flat[1:].tolist(), strict=False))
-    shown = {"wide": wide + 70, "high": high, "points": flat.tolist(), "joints": joints, "marked": marked}
-    return filled("agent.pages", "arm.svg", **shown)
+    values = {"wide": wide + 70, "high": high, "points": flat.tolist(), "joints": joints, "marked": marked}
+    return filled("agent.pages", "arm.svg", **values)

@@ -141,7 +141,7 @@ def _area(x: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
     """The area between two lines, wherever both are known."""
     known = np.isfinite(x) & np.isfinite(lower) & np.isfinite(upper)
     runs = np.split(np.arange(len(x)), np.flatnonzero(np.diff(known)) + 1)
-    shown = [run for run in runs if len(run) and known[run[0]]]
+    known_runs = [run for run in runs if len(run) and known[run[0]]]
     return "".join(
-        f"{_line_path(x[run], upper[run])}L{_line_path(x[run[::-1]], lower[run[::-1]])[1:]}Z" for run in shown
+        f"{_line_path(x[run], upper[run])}L{_line_path(x[run[::-1]], lower[run[::-1]])[1:]}Z" for run in known_runs
     )

@@ -80,7 +80,7 @@ def resume_advice(run: RunFolder, step: str, error: BaseException) -> str:
     refused. A diagnosis whose motions are all recorded needs no robot.
     """
     motions = [name for name in run.state["steps"] if name.endswith(".mcap")]
-    kept = f", {len(motions)} of its motions are recorded" if motions else ""
+    recorded_text = f", {len(motions)} of its motions are recorded" if motions else ""
     kind, recipe, logs = run.state["kind"], os.path.relpath(run.state["recipe"]), run.path.parent
     options = run.state.get("options", [])
     words = ["agent", kind, *(["--record"] if kind == "diagnose" else []), recipe]
@@ -96,4 +96,4 @@ def resume_advice(run: RunFolder, step: str, error: BaseException) -> str:
         recorded = [str(run.file(name)) for name in motions]
         offline = ["agent", "diagnose", "--robot", run.state["robot_source"], *options, *recorded]
         again = f"diagnose them with: {shlex.join(offline)}; or {again}"
-    return f"stopped in the step {step!r}; finished steps are in {run.path}{kept}; {again}"
+    return f"stopped in the step {step!r}; finished steps are in {run.path}{recorded_text}; {again}"

@@ -86,8 +86,8 @@ def import_files(
         known = is_dataset(inputs[0])
         arm = load_arm(robot, inputs if known else (), topic)
         return list(import_dataset(arm, inputs[0], out, topic, None if known else str(mapping)))
-    alone = is_simulator(Path(robot))
-    description = partial(load_arm_of, Path(robot)) if alone else load_robot(robot)
+    of_simulator = is_simulator(Path(robot))
+    description = partial(load_arm_of, Path(robot)) if of_simulator else load_robot(robot)
     if effort is None:
         return list(import_log(description, mapping, inputs, out))
     with TemporaryDirectory(dir=out.absolute().parent, prefix=f".{out.name}.") as folder:

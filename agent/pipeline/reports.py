@@ -172,7 +172,7 @@ def recalibration_page(
     ends = [*log.cycle_starts, float(log.t[-1])] if log.cycle_starts else [0.0, float(log.t[-1])]
     cycles = [slice(*np.searchsorted(prediction.time, pair)) for pair in pairwise(ends)]
     # confidence bounds need a regressor for every sample, so they are computed for the cycle that is shown
-    shown = predict_log(prediction.model, log.middle_part())
+    cycle_prediction = predict_log(prediction.model, log.middle_part())
     content = RunContent(
         run=run,
         result=result,
@@ -182,7 +182,7 @@ def recalibration_page(
         excitation=log,
         loop=_coloured(loop, log, prediction),
         rmse=np.array([_rmse(prediction, part) for part in cycles if _moves(prediction)[part].any()]),
-        shown=torque_plot(shown, prediction.rmse(moving=True), *log.middle_cycle()),
+        shown=torque_plot(cycle_prediction, prediction.rmse(moving=True), *log.middle_cycle()),
     )
     return recalibration_report(content, comparison)
 

@@ -103,9 +103,9 @@ class CellSection(RecipeSection):
     @classmethod
     def _told_apart(cls, boxes: list[KeepOutEntry]) -> list[KeepOutEntry]:
         names = [entry.name for entry in boxes]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"each box needs a name of its own; used more than once: {', '.join(twice)}")
+        duplicates = sorted({name for name in names if names.count(name) > 1})
+        if duplicates:
+            raise ValueError(f"each box needs a name of its own; used more than once: {', '.join(duplicates)}")
         return boxes
 
 

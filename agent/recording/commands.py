@@ -50,10 +50,10 @@ def commanded(
         fitting = {wanted: fitting[wanted]}
     for several in ([t for t in fitting if t in states], [t for t in fitting if t in scanned.set_points], [*fitting]):
         if len(several) == 1:
-            taken = _on_stamps(scanned, several[0], fitting[several[0]], stamp, position, late)
-            return replace(taken, repairs=()) if several[0] in states and taken.values is not None else taken
+            commands = _on_stamps(scanned, several[0], fitting[several[0]], stamp, position, late)
+            return replace(commands, repairs=()) if several[0] in states and commands.values is not None else commands
         followed = {topic: _on_stamps(scanned, topic, fitting[topic], stamp, position, late) for topic in several}
-        followed = {topic: taken for topic, taken in followed.items() if taken.values is not None}
+        followed = {topic: commands for topic, commands in followed.items() if commands.values is not None}
         if len(followed) == 1:
             return next(iter(followed.values()))
         if several:

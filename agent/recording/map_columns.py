@@ -95,8 +95,10 @@ def one_joint_a_row(tables: Sequence[ColumnTable]) -> str:
 
 
 def _values_text(values: np.ndarray) -> str:
-    shown = values[: _SHOWN_VALUES + 1].tolist()
-    return comma_list([f"{value:g}" if isinstance(value, float) else str(value) for value in shown], _SHOWN_VALUES)
+    first_values = values[: _SHOWN_VALUES + 1].tolist()
+    return comma_list(
+        [f"{value:g}" if isinstance(value, float) else str(value) for value in first_values], _SHOWN_VALUES
+    )
 
 
 class Source:
@@ -132,14 +134,14 @@ class Source:
 
     def _check_apart(self, by_key: dict[str, list[tuple[ColumnTable, np.ndarray]]]) -> None:
         """Refuse a column that stands for two joints, or for position and torque of one."""
-        taken: dict[int, str] = {}
+        key_by_column: dict[int, str] = {}
         for key in ("position", "velocity", "effort"):
             for table, column in by_key.get(key, ()):
                 name = next(name for name, other in table.columns.items() if other is column)
-                if id(column) in taken:
-                    what = f"column {name} of {table.path.name} stands in {taken[id(column)]} already"
+                if id(column) in key_by_column:
+                    what = f"column {name} of {table.path.name} stands in {key_by_column[id(column)]} already"
                     self.mapping.fault(f"{key}.columns", f"{what}; each has a column of its own")
-                taken[id(column)] = key
+                key_by_column[id(column)] = key
 
     def _by_time(self, columns: Sequence[tuple[str, ColumnTable, np.ndarray]]) -> list[np.ndarray]:
         """Time (S,) and each column (S,): row by row where all have one clock, else joined by time."""
@@ -229,9 +231,9 @@ class Source:
         what, values = f"{table.path}: column {names[-1]}", len(np.unique(known))
         if 1 < values < len(known) / _ROWS_A_SECOND and np.all(known % 1 == 0):
             parts = [name for name in table.columns if "nano" in name.lower() or "nsec" in name.lower()]
-            both = ", ".join(map(str, [*names, *(parts[:1] or ["nanosec"])]))
+            columns_text = ", ".join(map(str, [*names, *(parts[:1] or ["nanosec"])]))
             what += f" holds whole seconds, {len(known)} rows with {values} values"
-            self.mapping.fault(key, f"{what}; add the column of their fractions, such as columns: [{both}]")
+            self.mapping.fault(key, f"{what}; add the column of their fractions, such as columns: [{columns_text}]")
         if len(known) > 1 and stand_still(np.sort(np.rint(known * NANO))):
             what += f" stands still at {known.min():.9g} s ({len(known)} rows)"
             self.mapping.fault(key, f"{what}; name the column of time and its unit")
@@ -456,9 +458,9 @@ class Source:
             if current is None or moment is None or len(current) != len(moment):
                 continue
             known = np.isfinite(current) & np.isfinite(moment)
-            square, both = float(np.sum(current[known] ** 2)), float(current[known] @ moment[known])
-            if both**2 > _PROPORTIONAL * square * float(np.sum(moment[known] ** 2)) > 0:
-                constants[joint] = both / square / self.robot.gear_ratios[joint]
+            square, product = float(np.sum(current[known] ** 2)), float(current[known] @ moment[known])
+            if product**2 > _PROPORTIONAL * square * float(np.sum(moment[known] ** 2)) > 0:
+                constants[joint] = product / square / self.robot.gear_ratios[joint]
         others = [
             f"{name} {own:.3g} instead of {ours:.3g}"
             for name, own, ours in zip(self.robot.joint_names, constants, described, strict=True)

@@ -326,9 +326,9 @@ def _file_repairs(scanned: Scan, topic: str, end: float) -> list[Repair]:
     return repairs
 
 
-def _run_repairs(run: dict[str, str], seen: Sequence[Repair]) -> list[Repair]:
+def _run_repairs(run: dict[str, str], stamp_repairs: Sequence[Repair]) -> list[Repair]:
     """Losses that the writer counted and the stamps do not show."""
-    missing = sum(repair.count for repair in seen if "missing samples" in repair.kind)
+    missing = sum(repair.count for repair in stamp_repairs if "missing samples" in repair.kind)
     repairs = []
     for key, kind, known in (
         ("lost_samples", "lost on the link", missing),

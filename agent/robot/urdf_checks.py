@@ -68,9 +68,9 @@ def check_urdf(path: Path | str, root: Element, joints: Sequence[str]) -> None:
     _check_numbers(path, root)
     _check_inertials(path, root)
     for kind in ("link", "joint"):
-        twice = [name for name, count in Counter(e.get("name") for e in root.findall(kind)).items() if count > 1]
-        if twice:
-            raise InputError(f"{path}: {kind} {twice[0]!r} stands twice; every {kind} has a name of its own")
+        duplicates = [name for name, count in Counter(e.get("name") for e in root.findall(kind)).items() if count > 1]
+        if duplicates:
+            raise InputError(f"{path}: {kind} {duplicates[0]!r} stands twice; every {kind} has a name of its own")
     _check_tree(path, root)
     for joint in root.findall("joint"):
         mimic, name = joint.find("mimic"), joint.get("name")

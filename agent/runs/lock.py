@@ -52,10 +52,10 @@ def robot_lock(driver: str, address: str) -> Iterator[None]:
 @contextlib.contextmanager
 def _locked(endpoint: str, robot: str) -> Iterator[None]:
     key = os.getpid(), _digest(endpoint)
-    taken = None
+    lock = None
     if not _held[key]:
         try:
-            taken = _take(key[1], robot)
+            lock = _take(key[1], robot)
         except OSError as error:
             raise AgentError(f"{_folder()}: the robot's lock cannot be made there: {error.strerror}; rights?") from None
     _held[key] += 1
@@ -63,8 +63,8 @@ def _locked(endpoint: str, robot: str) -> Iterator[None]:
         yield
     finally:
         _held[key] -= 1
-        if taken is not None:
-            _let_go(*taken)
+        if lock is not None:
+            _let_go(*lock)
 
 
 def _digest(endpoint: str) -> str:

@@ -143,16 +143,16 @@ def check_plan(program: PlannedProgram, robot: RobotDescription, position: np.nd
             if broken.any():
                 names = ", ".join(np.array(robot.joint_names)[broken])
                 raise InputError(f"program {program.name}: {names} would leave the {what}; plan again, more slowly")
-    away = np.abs(program.chains[0].q[0] - position)
-    if not np.all(away <= START_TOLERANCE):
-        joint = robot.joint_names[int(np.argmax(away))]
+    off = np.abs(program.chains[0].q[0] - position)
+    if not np.all(off <= START_TOLERANCE):
+        joint = robot.joint_names[int(np.argmax(off))]
         if np.all(np.abs(np.radians(position) - program.chains[0].q[0]) <= START_TOLERANCE):
             raise ControllerError(
                 f"{address}: the position of the arm fits its plan in degrees, where radians are expected: check the "
                 "unit of the link"
             )
         raise ControllerError(
-            f"{address}: the arm does not stand where its plan begins: {joint} is off by {away.max():.3f} rad. It was "
+            f"{address}: the arm does not stand where its plan begins: {joint} is off by {off.max():.3f} rad. It was "
             "moved since; run the command again, it is planned anew from where the arm stands"
         )
 

@@ -173,14 +173,14 @@ def _sample_stretch(chain: Trajectory, dynamics: Dynamics, margin: float, limits
     """q, tool, reach, speed, highest speed of the tool around and slowest by sample of a stretch, and its levers."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-    some = np.unique(np.append(np.arange(0, len(chain.t), _EVERY), len(chain.t) - 1))
-    jacobian = dynamics.tcp_jacobian(chain.q[some])
+    sampled = np.unique(np.append(np.arange(0, len(chain.t), _EVERY), len(chain.t) - 1))
+    jacobian = dynamics.tcp_jacobian(chain.q[sampled])
     turned = np.swapaxes(jacobian, 1, 2)
     inverse = turned @ np.linalg.inv(jacobian @ turned + DAMPING**2 * np.eye(6))
     reach = margin * np.linalg.norm(inverse[:, :, :3], axis=2)
     point = dynamics.tcp_pose(chain.q)[:, :3, 3]
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(point, axis=0), axis=1))))
-    nearest = np.minimum((np.arange(len(chain.t)) + _EVERY // 2) // _EVERY, len(some) - 1)
+    nearest = np.minimum((np.arange(len(chain.t)) + _EVERY // 2) // _EVERY, len(sampled) - 1)
     period = chain.duration / max(1, len(chain.t) - 1)
     width = 1 + 2 * (round(AROUND / period) if period > 0 else 0)
     speed = maximum_filter1d(np.abs(chain.qd), min(width, 2 * len(chain.t) + 1), axis=0, mode="nearest")

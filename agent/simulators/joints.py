@@ -37,9 +37,11 @@ def load_joint_map(path: Path) -> dict[str, str | None]:
     """
     joints = load_document(path, JointMap).joints
     called = [name for name in joints.values() if name is not None]
-    twice = {name for name in called if called.count(name) > 1}
-    if twice:
-        raise InputError(f"{path}: joints: {', '.join(sorted(twice))} stands for two joints of the simulator's file")
+    duplicates = {name for name in called if called.count(name) > 1}
+    if duplicates:
+        raise InputError(
+            f"{path}: joints: {', '.join(sorted(duplicates))} stands for two joints of the simulator's file"
+        )
     return joints
 
 
@@ -67,9 +69,9 @@ def matched(
             f"--map: {', '.join(unknown or strange)} is no joint of {path.name if unknown else owner}; "
             f"its joints are {', '.join(in_file if unknown else wanted)}"
         )
-    taken = {name: called for name, called in (names or {}).items() if called is not None}
-    free = [name for name in in_file if name not in (names or {}) and name not in taken.values()]
-    pairs = taken | joint_pairs(free, [name for name in wanted if name not in taken.values()])
+    mapped = {name: called for name, called in (names or {}).items() if called is not None}
+    free = [name for name in in_file if name not in (names or {}) and name not in mapped.values()]
+    pairs = mapped | joint_pairs(free, [name for name in wanted if name not in mapped.values()])
     matches = {name: pairs[name] for name in in_file if name in pairs}
     missing = [name for name in wanted if name not in matches.values() and not is_gripper(name)]
     if len(matches) == len(in_file) and _of_another_arm(missing, [*matches.values()]):

@@ -55,8 +55,8 @@ class TorqueRipple(Effect):
         gear = abs(float(context.reference.robot.gear_ratios[axle]))
         highest = _HIGHEST * max(gear, _LOWEST)
         bins = int((high - low) * highest / 2 / np.pi * _FINE) + 2
-        twice = 2 * (2 * np.pi) / (high - low)  # order of two periods in all
-        if bins > 2_000_000 or twice > highest:
+        two_periods = 2 * (2 * np.pi) / (high - low)  # order of two periods in all
+        if bins > 2_000_000 or two_periods > highest:
             return []
         sums = np.zeros(bins)
         speeds = []
@@ -71,7 +71,7 @@ class TorqueRipple(Effect):
         speed = np.sort(np.concatenate(speeds))
         cutoff = context.reference.model.cutoff
         passing = np.searchsorted(speed, 2 * np.pi * cutoff / np.maximum(order, 1e-9))
-        gain = np.where((order > max(_LOWEST, twice)) & (order < highest), power, 0)
+        gain = np.where((order > max(_LOWEST, two_periods)) & (order < highest), power, 0)
         gain = gain / np.maximum(passing, _FEWEST)
         peaks = []
         for _ in range(_PEAKS):

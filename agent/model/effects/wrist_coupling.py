@@ -114,11 +114,11 @@ class WristCoupling(Effect):
                 return columns
             motor, none = self._made(parts, joints, {"ratio": ratio}), np.zeros_like(rubbing)
             return {k: np.hstack([columns.get(k, none), motor.get(k, none)]) for k in columns.keys() | motor.keys()}
-        alone, turned = (parts.friction(j, i, part, "free" in settings) for part in (0.0, ratio))
+        uncoupled, turned = (parts.friction(j, i, part, "free" in settings) for part in (0.0, ratio))
         width = len(self.names(settings))
-        more, carried = np.zeros((2, len(alone), width))
-        last = 1 + alone.shape[1]
-        more[:, 0], more[:, 1:last] = ratio * parts.joint(i), turned - alone
+        more, carried = np.zeros((2, len(uncoupled), width))
+        last = 1 + uncoupled.shape[1]
+        more[:, 0], more[:, 1:last] = ratio * parts.joint(i), turned - uncoupled
         if "axle_side" in settings:
             carriers = coupling[i]
             carried[:, 0] = parts.axle(j)
@@ -194,8 +194,8 @@ def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float)
     speed = axles.speed[:, axle] + ratio * signals.qd[:, joint]
     load = None if axles.load is None else axles.load[:, [axle]]
     terms = [(k, term) for k, term in enumerate(model.terms, len(model.independent)) if term.axle == axle]
-    alone = AxleMotion(position[:, None], speed[:, None], load)
-    columns = axle_columns(tuple(replace(term, axle=0) for _, term in terms), alone)
+    one_axle = AxleMotion(position[:, None], speed[:, None], load)
+    columns = axle_columns(tuple(replace(term, axle=0) for _, term in terms), one_axle)
     return columns @ model.values[[k for k, _ in terms], None]
 
 

@@ -130,8 +130,8 @@ class CartesianCorner(Corner):
         if self._legs is not None:
             sides = self.into * self._legs[1] - self.out * self._legs[0]
             return 2.0 * float(self.step.integral(np.array(0.5))) * rotation.length(sides)
-        some = np.linspace(0.0, 1.0, 33)
-        points = self._position(some, *self.sigma(some))
+        samples = np.linspace(0.0, 1.0, 33)
+        points = self._position(samples, *self.sigma(samples))
         if not self.through:
             return float(np.min(np.linalg.norm(points - before.position(np.ones(1)), axis=1)))
         fine = np.linspace(0.0, 1.0, 65)
@@ -148,10 +148,10 @@ class CartesianCorner(Corner):
             missing = rotation.multiply(at_corner, rotation.conjugate(self._turned(half, *self.sigma(half))))[0]
             pull = rotation.from_rotation_vector(bump(tau)[:, None] * rotation.rotation_vector(missing))
             orientation = rotation.multiply(pull, orientation)
-        leaving, arriving, near = self.before.near(sigma_one), self.after.near(sigma_two), None
+        leaving, arriving, near_joints = self.before.near(sigma_one), self.after.near(sigma_two), None
         if leaving is not None and arriving is not None and self.after.ends is not None:
-            near = leaving + arriving - self.after.ends[0]
-        return self._position(tau, sigma_one, sigma_two), orientation, near
+            near_joints = leaving + arriving - self.after.ends[0]
+        return self._position(tau, sigma_one, sigma_two), orientation, near_joints
 
     def lengths(self) -> tuple[np.ndarray, np.ndarray]:
         """Lengths of its cells (cells,) [m], and at `tau` how far the two moves add up (cells + 1,), 0..1."""

@@ -42,7 +42,7 @@ def plan_blocks(
         refuse_long(path, law, segments)
         samples = sampled(shape, law, period)
         full = np.max(np.abs(samples.qdd) / (limits.acceleration / parameters.acceleration)[:, None], axis=0)
-        over = np.array([full[mine].max(initial=0.0) for mine in blocks.split(samples.s)])
+        over = np.array([full[of_block].max(initial=0.0) for of_block in blocks.split(samples.s)])
         if over.max() <= 1.0 + _TOLERANCE:
             break
         blocks = blocks.slower(np.where(over > 1.0, 0.99 / np.maximum(over, 1.0), 1.0))

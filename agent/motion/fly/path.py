@@ -179,7 +179,7 @@ def _on_segment(block: int, segment: Segment, sigma: np.ndarray, steps: np.ndarr
 def _on_corner(block: int, corner: CartesianCorner) -> _PathPart:
     tau = corner.tau()[1:]
     lengths, along = corner.lengths()
-    position, orientation, near = corner.poses(tau)
+    position, orientation, near_joints = corner.poses(tau)
     return _PathPart(
         np.full(corner.cells, block),
         lengths,
@@ -187,7 +187,7 @@ def _on_corner(block: int, corner: CartesianCorner) -> _PathPart:
         along[1:] if corner.overlap else np.ones(corner.cells),
         position,
         orientation,
-        near=near,
+        near=near_joints,
     )
 
 
@@ -206,9 +206,9 @@ def _solve(
         position, orientation = (
             np.concatenate([getattr(stretch, name) for stretch in stretches]) for name in ("position", "orientation")
         )
-        near = None if stretches[0].near is None else np.concatenate([stretch.near for stretch in stretches])
+        near_joints = None if stretches[0].near is None else np.concatenate([stretch.near for stretch in stretches])
         q = solve_cartesian(
-            unit, np.concatenate([stretch.move for stretch in stretches]), position, orientation, start, near
+            unit, np.concatenate([stretch.move for stretch in stretches]), position, orientation, start, near_joints
         )
         cuts = np.cumsum([len(stretch.move) for stretch in stretches])[:-1]
         for stretch, part in zip(stretches, np.split(q, cuts), strict=True):
@@ -247,10 +247,10 @@ def _deviation(corner: Corner, running_out: np.ndarray, running_in: np.ndarray, 
     forward = corner.after.kinematics.forward
     moves, points = forward(np.concatenate((running_out, running_in)))[:, :3, 3], forward(blend.q)[:, :3, 3]
     if corner.through:
-        away = float(np.max(np.min(np.linalg.norm(points[:, None] - moves[None], axis=2), axis=1)))
+        distance = float(np.max(np.min(np.linalg.norm(points[:, None] - moves[None], axis=2), axis=1)))
     else:
-        away = float(np.min(np.linalg.norm(points - moves[len(running_out)], axis=1)))
-    return away / max(corner.allowed, 1e-9)
+        distance = float(np.min(np.linalg.norm(points - moves[len(running_out)], axis=1)))
+    return distance / max(corner.allowed, 1e-9)
 
 
 def _assemble(stretches: list[_PathPart], segment: Segment, rules: np.ndarray, deviations: tuple[float, ...]) -> Path:

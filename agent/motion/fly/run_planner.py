@@ -132,9 +132,9 @@ class RunPlanner:
             return
         move, name = int(path.move[knot]), self.robot.joint_names[joint]
         label = label_of(segments, move)
-        shown = f"{1e3 * amount:.3g} mm" if self.robot.joints[joint].prismatic else f"{np.degrees(amount):.3g} degrees"
+        excess = f"{1e3 * amount:.3g} mm" if self.robot.joints[joint].prismatic else f"{np.degrees(amount):.3g} degrees"
         raise MotionError(
-            f"{label}: {name} would go {shown} beyond its limit; move the point or choose another configuration",
+            f"{label}: {name} would go {excess} beyond its limit; move the point or choose another configuration",
             move,
             f"{name} position",
             amount / float(min(upper[joint] - lower[joint], 2.0 * np.pi)),

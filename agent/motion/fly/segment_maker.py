@@ -190,10 +190,10 @@ class SegmentMaker:
         if isinstance(target, JointTarget):
             pose = kinematics.forward(self._joint_target(label, target)[None])[0]
         else:
-            given = np.asarray(target.pose, dtype=float)
-            if given.shape != (4, 4) or not np.isfinite(given).all():
+            target_pose = np.asarray(target.pose, dtype=float)
+            if target_pose.shape != (4, 4) or not np.isfinite(target_pose).all():
                 raise InputError(f"{label}: the target is not a pose of finite numbers")
-            if not rotation.is_rotation(given[:3, :3]):
+            if not rotation.is_rotation(target_pose[:3, :3]):
                 raise InputError(f"{label}: the target's orientation is not a rotation")
             pose = pose_in_robot_base(target, settings)
         return pose[:3, 3].copy(), rotation.from_matrix(pose[:3, :3])

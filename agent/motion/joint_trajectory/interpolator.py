@@ -155,8 +155,8 @@ def _standing(q: np.ndarray, count: int) -> np.ndarray:
 def joint_move_to(moves: Sequence[Move]) -> np.ndarray | None:
     """Where (n,) moves from stop to stop end that are a joint move, which knows no time; None of others."""
     move, target = moves[0], moves[0].target
-    alone = len(moves) == 1 and move.type is MoveType.JOINT and not isinstance(move.settings, PointSettings)
-    return target.position if alone and isinstance(target, JointTarget) else None
+    single = len(moves) == 1 and move.type is MoveType.JOINT and not isinstance(move.settings, PointSettings)
+    return target.position if single and isinstance(target, JointTarget) else None
 
 
 def _pace(settings: MotionSettings) -> tuple[np.ndarray, np.ndarray] | None:

@@ -114,9 +114,9 @@ def check_preamble(lines: list[ScriptLine], path: str) -> None:
         return matches
 
     number = _literal(lines[0], _REGISTER, 1) if lines else None
-    begun = isinstance(number, int) and 0 < number < 2**31 and take(f"{_REGISTER}(25, {number})")
+    has_start = isinstance(number, int) and 0 < number < 2**31 and take(f"{_REGISTER}(25, {number})")
     take(f"{_REGISTER}(24, -1)")
-    frequency = _literal(lines[at], _WATCHDOG, 1) if begun and at < len(lines) else None
+    frequency = _literal(lines[at], _WATCHDOG, 1) if has_start and at < len(lines) else None
     watched = (
         isinstance(frequency, int | float)
         and _LEAST <= frequency <= _MOST

@@ -71,7 +71,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {
     "r2d": math.degrees,
     "pose_trans": lambda first, second: first @ second,
     "pose_inv": np.linalg.inv,
-    "get_inverse_kin": lambda pose, *near: pose,
+    "get_inverse_kin": lambda pose, *seed: pose,
     **{each.__name__: each for each in (math.acos, math.asin, math.atan, math.atan2)},
     **{each.__name__: each for each in (math.cos, math.sin, math.sqrt, math.tan)},
 }

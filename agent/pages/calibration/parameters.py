@@ -22,23 +22,23 @@ _PRIOR = (
 def parameters_section(table: Sequence[Sequence[str]], notes: Sequence[str] = ()) -> Section:
     """Every parameter with its 95 % interval; `table` is that of `IdentifiedModel.rows`, header first."""
     priors = any(row[6] != "-" for row in table[1:])
-    shown = []
+    rows = []
     for name, value, deviation, _, unit, meaning, mean, doubt, share in table[1:]:
         before = (_interval(mean, doubt), share) if priors else ()
         cells = ("-", "stood still") if value == "-" else (_interval(value, deviation), _known(value, deviation))
-        shown.append((name, cells[0], unit, cells[1], *before, meaning))
+        rows.append((name, cells[0], unit, cells[1], *before, meaning))
     before = ("prior ± 95 %", "from the data [%]") if priors else ()
     header = ("parameter", "value ± 95 %", "unit", "how well it is known", *before, "stands for")
-    return Section("Parameters", (*notes, _PRIOR) if priors else notes, (Table("parameters", header, shown),))
+    return Section("Parameters", (*notes, _PRIOR) if priors else notes, (Table("parameters", header, rows),))
 
 
 def _interval(value: str, deviation: str) -> str:
     return plus_minus(float(value), NORMAL_95 * float(deviation))
 
 
-def _known(shown: str, scatter: str) -> str:
+def _known(value_text: str, scatter: str) -> str:
     """The standard deviation over the value, where that says something."""
-    value, deviation = float(shown), float(scatter)
+    value, deviation = float(value_text), float(scatter)
     if abs(value) <= NORMAL_95 * deviation:
         return "may be zero"
     return f"to {100 * deviation / abs(value):.2g} %"

@@ -147,8 +147,10 @@ def waterfall(steps: Sequence[Mapping[str, Any]]) -> tuple[str, Table]:
         closes, (low, high) = 100 * entry["closes"], entry["interval"]
         is_remainder = entry is steps[-1]
         bar = Bar(0.0, closes, SERIES[1]) if is_remainder else Bar(remaining - closes, remaining, SERIES[0])
-        alone = "-" if entry["alone"] is None else f"{100 * entry['alone']:.1f} %"
-        rows.append((entry["step"], f"{closes:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %", alone, Bars([bar])))
+        by_itself = "-" if entry["alone"] is None else f"{100 * entry['alone']:.1f} %"
+        rows.append(
+            (entry["step"], f"{closes:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %", by_itself, Bars([bar]))
+        )
         remaining -= closes
     caption = "Each step removes its bar from the gap; the last bar remains."
     header = ("step", "closes", "90 % interval", "alone", "gap that remains")

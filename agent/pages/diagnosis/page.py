@@ -174,11 +174,11 @@ def _push_rows(diagnosis: Diagnosis) -> Iterator[tuple[str, ...]]:
         pushes = sum(key.startswith("link") for key in parameters)
         for push in range(1, pushes + 1):
             end = "" if push == 1 else f"_{push}"
-            link, *shown = (parameter_text(diagnosis.result, number, key + end) for key in _OF_PUSH.values())
+            link, *texts = (parameter_text(diagnosis.result, number, key + end) for key in _OF_PUSH.values())
             point = [parameters[key] for axis in "xyz" if (key := f"at_{axis}{end}") in parameters]
             if point:
                 link += f" at ({', '.join(f'{round(value, 2) + 0.0:.2f}' for value in point)}) m from its far end"
-            yield str(push), link, *shown, diagnosis.dataset.logs[int(parameters[f"log{end}"])].name
+            yield str(push), link, *texts, diagnosis.dataset.logs[int(parameters[f"log{end}"])].name
 
 
 def _about_cause(cause: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[str]:

@@ -182,9 +182,9 @@ def _answer_run(
     logs = [*paths, *(rounds.logs if rounds else ())]
     diagnosed = rounds.last if rounds else run_diagnosis(job.recipe.robot, logs, question, job.console)
     diagnosed = replace(diagnosed, simulator=simulator)
-    shown = [*logs, *([rounds.uncounted] if rounds and rounds.uncounted else [])]
+    all_logs = [*logs, *([rounds.uncounted] if rounds and rounds.uncounted else [])]
     page = job.run.file("report.html")
-    for result in _published(diagnosed, question, job.console, job.recipe.robot_source, shown, rounds, page):
+    for result in _published(diagnosed, question, job.console, job.recipe.robot_source, all_logs, rounds, page):
         job.run.write_json("result.json", result)
         on_result(result)
     return result

@@ -119,13 +119,13 @@ def check_tool(recipe: Recipe, logs: Sequence[Log], of_model: Mapping[str, Any])
     Raises:
         InputError: as said.
     """
-    mine = "none" if recipe.tool is None else recipe.tool.text()
+    recipe_tool = "none" if recipe.tool is None else recipe.tool.text()
     known = {tool: log.name for log in reversed(logs) if (tool := log.metadata.get("tool"))}
     known |= {tool: "the model" for tool in of_model.get("tool", ())}
     for tool, where in known.items():
-        if tool != mine:
+        if tool != recipe_tool:
             raise InputError(
-                f"{recipe.path}: its tool is {mine}, but that of {where} is {tool}. Name a recipe "
+                f"{recipe.path}: its tool is {recipe_tool}, but that of {where} is {tool}. Name a recipe "
                 "with the same tool with --next"
             )
 

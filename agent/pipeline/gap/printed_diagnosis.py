@@ -137,7 +137,7 @@ def _waterfall_lines(steps: Sequence[dict[str, Any]]) -> Iterator[str]:
     for entry, (*above, last) in zip(steps, texts, strict=True):
         yield from (f"  {line}" for line in above)
         closes, (low, high) = 100 * entry["closes"], entry["interval"]
-        alone = "" if entry["alone"] is None else f"{100 * entry['alone']:6.1f} %"
+        by_itself = "" if entry["alone"] is None else f"{100 * entry['alone']:6.1f} %"
         bar = "#" * round(min(max(closes, 0), 100) * 0.3)
         inside = f"({100 * low:5.1f} to {100 * high:5.1f})"
-        yield f"  {last:{width}} {closes:6.1f} % {inside} {alone:>9}  {bar}".rstrip()
+        yield f"  {last:{width}} {closes:6.1f} % {inside} {by_itself:>9}  {bar}".rstrip()

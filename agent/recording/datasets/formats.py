@@ -105,8 +105,8 @@ def open_dataset(path: Path, arm: str | None = None, joints: Sequence[str] = (),
     if not sides:
         return recorded
     side = arm.lower() if arm else sides[0]
-    taken = recorded.of_columns([k for k, name in enumerate(recorded.joints) if side_of(name) in (side, "")])
-    return replace(taken, joints=tuple(map(without_side, taken.joints)))
+    one_arm = recorded.of_columns([k for k, name in enumerate(recorded.joints) if side_of(name) in (side, "")])
+    return replace(one_arm, joints=tuple(map(without_side, one_arm.joints)))
 
 
 def _long_enough(recorded: Recorded) -> Recorded:
@@ -115,12 +115,12 @@ def _long_enough(recorded: Recorded) -> Recorded:
     Raises:
         InputError: all are.
     """
-    taken = tuple(each for each in recorded.episodes if np.count_nonzero(each.finite) >= _FEWEST_FRAMES)
-    if not taken:
+    long_episodes = tuple(each for each in recorded.episodes if np.count_nonzero(each.finite) >= _FEWEST_FRAMES)
+    if not long_episodes:
         raise InputError(f"{recorded.path}: no episode has {_FEWEST_FRAMES} frames with a number for every joint")
-    short = len(recorded.episodes) - len(taken)
+    short = len(recorded.episodes) - len(long_episodes)
     notes = (f"{counted(short, 'episode')} of less than {_FEWEST_FRAMES} frames left out",) if short else ()
-    return replace(recorded, episodes=taken, notes=(*recorded.notes, *notes))
+    return replace(recorded, episodes=long_episodes, notes=(*recorded.notes, *notes))
 
 
 def dataset_logs(

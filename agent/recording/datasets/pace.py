@@ -66,8 +66,8 @@ def read_pace(path: Path) -> Recorded:
             content = _content(archive)
         missing = [name for name in _NEEDED if not isinstance(content.get(name), np.ndarray)]
         if missing:
-            there = ", ".join(map(str, content)) or "nothing"
-            raise _Refused(f"{', '.join(missing)} is missing; it holds {there}")
+            present = ", ".join(map(str, content)) or "nothing"
+            raise _Refused(f"{', '.join(missing)} is missing; it holds {present}")
         arrays = {field: content[name] for name, field in _FIELDS.items() if isinstance(content.get(name), np.ndarray)}
         _check_shapes(arrays)
     except (_Refused, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:

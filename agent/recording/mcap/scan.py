@@ -389,8 +389,8 @@ class _Collector:
     ) -> None:
         """Messages (K, L) of one layout as numbers."""
         keep, scanned = self.scanned.scratch.keep, self.scanned
-        taken = map(partial(layout.array, rows), range(3))
-        position, velocity, effort = (None if values is None else keep(values) for values in taken)
+        arrays = map(partial(layout.array, rows), range(3))
+        position, velocity, effort = (None if values is None else keep(values) for values in arrays)
         if isinstance(layout, JointStateLayout):
             stamp = sent = layout.stamps(rows)
         else:

@@ -129,8 +129,8 @@ def with_lost_rows(
     if not agrees or (velocity is None and np.count_nonzero(lost) < _ALIKE * np.count_nonzero(further)):
         return stamp, []
     beyond = np.pad(np.cumsum(change - by_velocity, axis=0), ((_SPIKE + 1, _SPIKE), (0, 0)), mode="edge")
-    jump, lasting = change - by_velocity, beyond[2 * _SPIKE + 1 :] - beyond[: -2 * _SPIKE - 1]
-    cut = ~lost & (np.minimum(np.sum(jump**2, axis=1), np.sum(lasting**2, axis=1)) > _JUMP**2 * longest)
+    jump, lasting_change = change - by_velocity, beyond[2 * _SPIKE + 1 :] - beyond[: -2 * _SPIKE - 1]
+    cut = ~lost & (np.minimum(np.sum(jump**2, axis=1), np.sum(lasting_change**2, axis=1)) > _JUMP**2 * longest)
     missing = np.where(lost, periods - 1, 0).astype(np.int64)
     repairs = []
     for places, what in (

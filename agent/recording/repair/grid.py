@@ -153,8 +153,8 @@ def settled(number: np.ndarray, periods: np.ndarray, position: np.ndarray) -> np
 
 def _costs(trials: np.ndarray, rows: np.ndarray, stamps: np.ndarray, spread: float) -> np.ndarray:
     """(T,) of numbers (T, S): squared distance of rows (S, n) from a quintic, and of stamps (S,) from even ones."""
-    away = (trials - trials[:, [trials.shape[1] // 2]]) / _AROUND
-    basis = np.linalg.qr(away[:, :, None] ** np.arange(_DEGREE, -1, -1))[0]
+    offsets = (trials - trials[:, [trials.shape[1] // 2]]) / _AROUND
+    basis = np.linalg.qr(offsets[:, :, None] ** np.arange(_DEGREE, -1, -1))[0]
     rough = np.sum(rows**2) - np.sum((np.swapaxes(basis, 1, 2) @ rows) ** 2, axis=(1, 2))
     return rough + np.var(trials - stamps, axis=1) * len(rows) / spread**2
 
@@ -172,6 +172,6 @@ def _moved(number: np.ndarray, hole: int, most: int = _DOUBT) -> np.ndarray:
 def line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Slope and intercept of the line through points (S,) in least squares."""
     middle, height = x.mean(), y.mean()
-    away = x - middle
-    slope = float(away @ (y - height) / (away @ away))
+    centred = x - middle
+    slope = float(centred @ (y - height) / (centred @ centred))
     return slope, float(height - slope * middle)

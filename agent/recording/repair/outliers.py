@@ -36,8 +36,8 @@ def impossible(values: np.ndarray, quantity: str) -> np.ndarray:
     if quantity == "position" or not len(values):
         return absurd
     largest = np.quantile(np.nan_to_num(size[::_EVERY], posinf=0.0), 0.99, axis=0)
-    alone = np.any(size > np.where(largest > 0, _ALONE * np.minimum(largest, limit), np.inf), axis=1)
-    return absurd | alone if np.count_nonzero(alone) <= _MOST * len(values) else absurd
+    outlying = np.any(size > np.where(largest > 0, _ALONE * np.minimum(largest, limit), np.inf), axis=1)
+    return absurd | outlying if np.count_nonzero(outlying) <= _MOST * len(values) else absurd
 
 
 def find_spikes(effort: np.ndarray) -> np.ndarray:

@@ -89,41 +89,41 @@ class Kinematics(ABC):
         under = np.ceil((self.lower - LIMIT_SLACK - q) / (2 * np.pi)).clip(min=0)
         return q + 2 * np.pi * np.where(self._revolute, under - over, 0.0)
 
-    def solve(self, pose: np.ndarray, near: np.ndarray, on_branch: bool = False) -> np.ndarray:
-        """(n,) the solution for one pose (4, 4) nearest to `near` (n,), within the joint limits.
+    def solve(self, pose: np.ndarray, seed: np.ndarray, on_branch: bool = False) -> np.ndarray:
+        """(n,) the solution for one pose (4, 4) nearest to `seed` (n,), within the joint limits.
 
-        With `on_branch` it is on the branch of `near` where an arm has such and a solution there keeps the limits: the
+        With `on_branch` it is on the branch of `seed` where an arm has such and a solution there keeps the limits: the
         nearest joints may be on another branch, where the same pose bends hoses and loads gears otherwise.
 
         Raises:
             KinematicsError: no such solution; index 0.
         """
-        pose, near = np.asarray(pose, dtype=float), np.asarray(near, dtype=float)
-        q, solved = (self.find_on_branch if on_branch else self.find)(pose[None], near[None])
+        pose, seed = np.asarray(pose, dtype=float), np.asarray(seed, dtype=float)
+        q, solved = (self.find_on_branch if on_branch else self.find)(pose[None], seed[None])
         if not solved[0]:
-            raise self.refusal(pose, near)
+            raise self.refusal(pose, seed)
         return q[0]
 
-    def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(S, n) what `solve` says of each of poses (S, 4, 4), nearest to `near` (S, n), and where it does (S,)."""
-        candidates, _, allowed = self._options(poses, near)
-        away = np.where(allowed, np.linalg.norm(candidates - near[:, None], axis=2), np.inf)
-        return candidates[np.arange(len(poses)), away.argmin(axis=1)], np.any(allowed, axis=1)
+    def find(self, poses: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(S, n) what `solve` says of each of poses (S, 4, 4), nearest to `seeds` (S, n), and where it does (S,)."""
+        candidates, _, allowed = self._options(poses, seeds)
+        distance = np.where(allowed, np.linalg.norm(candidates - seeds[:, None], axis=2), np.inf)
+        return candidates[np.arange(len(poses)), distance.argmin(axis=1)], np.any(allowed, axis=1)
 
-    def find_on_branch(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find_on_branch(self, poses: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(S, n) what `solve` on the branch says of each of poses (S, 4, 4), and where it does (S,)."""
-        return self.find(poses, near)
+        return self.find(poses, seeds)
 
-    def _options(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Solutions (S, B, n) at the turns nearest to `near` that the limits allow, which are some (S, B), and which
+    def _options(self, poses: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Solutions (S, B, n) at the turns nearest to `seeds` that the limits allow, which are some (S, B), and which
         keep the limits (S, B)."""
-        branches = self._candidates(poses, near)
-        candidates = self.turned_into_limits(self.nearest_turn(branches.q, near[:, None]))
+        branches = self._candidates(poses, seeds)
+        candidates = self.turned_into_limits(self.nearest_turn(branches.q, seeds[:, None]))
         return candidates, branches.valid, branches.valid & self.within_limits(candidates)
 
-    def refusal(self, pose: np.ndarray, near: np.ndarray) -> KinematicsError:
+    def refusal(self, pose: np.ndarray, seed: np.ndarray) -> KinematicsError:
         """Why there is no solution for a pose (4, 4) near joints (n,) where `find` has found none."""
-        candidates, valid, _ = self._options(pose[None], near[None])
+        candidates, valid, _ = self._options(pose[None], seed[None])
         try:
             if not valid.any():
                 self._refuse(pose)
@@ -187,8 +187,8 @@ class Kinematics(ABC):
         return ""
 
     @abstractmethod
-    def _candidates(self, poses: np.ndarray, near: np.ndarray) -> InverseSolutions:
-        """Solutions for poses (S, 4, 4), some of them near (S, n), from which `solve` chooses."""
+    def _candidates(self, poses: np.ndarray, seeds: np.ndarray) -> InverseSolutions:
+        """Solutions for poses (S, 4, 4), some of them near `seeds` (S, n), from which `solve` chooses."""
 
     @abstractmethod
     def _refuse(self, pose: np.ndarray) -> NoReturn:

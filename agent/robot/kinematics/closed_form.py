@@ -209,18 +209,18 @@ class ClosedFormKinematics(Kinematics):
             raise singular(int(index), poses[index], 0.0, ", or nearly so, in the arm's exact geometry")
         return q
 
-    def find_on_branch(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        distances = self._signed_distances(near)
+    def find_on_branch(self, poses: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        distances = self._signed_distances(seeds)
         # One by one: the last digit of a product depends on how many columns there are.
         wrist = np.concatenate([self._wrist(pose[None]) for pose in poses], axis=1)
         angles, margins = self._branch(wrist, np.sign(distances))
         solved = (margins >= self._least[:, None]).all(axis=0) & (np.abs(distances) >= SINGULAR_DISTANCE).all(axis=0)
-        q = angles.T + 2 * np.pi * np.round((near - angles.T) / (2 * np.pi))
+        q = angles.T + 2 * np.pi * np.round((seeds - angles.T) / (2 * np.pi))
         q[solved], solved[solved] = self._polish(poses[solved], q[solved])
         q[solved] = self.turned_into_limits(q[solved])
         solved &= self.within_limits(q)
         if not solved.all():
-            q[~solved], solved[~solved] = self.find(poses[~solved], near[~solved])
+            q[~solved], solved[~solved] = self.find(poses[~solved], seeds[~solved])
         return q, solved
 
     def singularity(self, q: np.ndarray) -> np.ndarray:
@@ -268,7 +268,7 @@ class ClosedFormKinematics(Kinematics):
     def _meanings(self) -> tuple[str, str, str]:
         return self.at_shoulder, ": its elbow is stretched or folded", self.at_wrist
 
-    def _candidates(self, poses: np.ndarray, near: np.ndarray) -> InverseSolutions:
+    def _candidates(self, poses: np.ndarray, seeds: np.ndarray) -> InverseSolutions:
         return self.inverse(poses)
 
     def _refuse(self, pose: np.ndarray) -> NoReturn:
@@ -344,8 +344,8 @@ class ClosedFormKinematics(Kinematics):
         g = self._arm
         wrist = self._wrist(poses)[:, index]
         if margins[0, index] < _BEYOND:
-            away = np.hypot(wrist[9], wrist[10])
-            why = f"{away:.3f} m from axis 1, and the arm comes no nearer than {abs(g.lateral_offset):.3f} m"
+            wrist_distance = np.hypot(wrist[9], wrist[10])
+            why = f"{wrist_distance:.3f} m from axis 1, and the arm comes no nearer than {abs(g.lateral_offset):.3f} m"
         else:
             distance = self._from_axis_2(wrist, signs)
             nearest = abs(g.upper_arm - g.forearm)

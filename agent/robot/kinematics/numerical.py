@@ -82,14 +82,14 @@ class NumericalKinematics(Kinematics):
         self._check_singularity(poses, q)
         return q
 
-    def nearest(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(S, n) joints of a redundant arm at poses (S, 4, 4) nearest to `near` (S, n), and where they were found (S,).
+    def nearest(self, poses: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(S, n) joints of a redundant arm at poses (S, 4, 4) nearest to `seeds` (S, n), and where there are some (S,).
 
-        Where the pose is reached, ½|q - near|² has a minimum: J⁺J (q - near) = q - near. From `near` on, Newton's steps
-        towards the pose and the full step towards `near` within the null space; full turns are not taken off. What is
-        found is a function of pose and `near` alone, as smooth as they are.
+        Where the pose is reached, ½|q - seed|² has a minimum: J⁺J (q - seed) = q - seed. From the seed on, Newton's
+        steps towards the pose and the full step towards the seed within the null space; full turns are not taken off.
+        What is found is a function of pose and seed alone, as smooth as they are.
         """
-        q, error = self._converge(poses, near)
+        q, error = self._converge(poses, seeds)
         solved = error < ACCURACY * self.length
         weights = np.repeat([1.0, self.length], 3)
         active = np.flatnonzero(solved)
@@ -100,11 +100,11 @@ class NumericalKinematics(Kinematics):
             jacobian = jacobian * weights[:, None]
             transposed = jacobian.transpose(0, 2, 1)
             residual = pose_error(poses[active], reached) * weights
-            away = near[active] - q[active]
-            # J⁺ e + (1 - J⁺ J) away, J⁺ = Jᵀ (J Jᵀ)⁻¹; what is added keeps a singular pose finite until it is refused
-            asked = residual[:, :, None] - jacobian @ away[:, :, None]
+            difference = seeds[active] - q[active]
+            # J⁺ e + (1 - J⁺ J) difference, J⁺ = Jᵀ (J Jᵀ)⁻¹; what is added keeps a singular pose finite until refused
+            asked = residual[:, :, None] - jacobian @ difference[:, :, None]
             square = jacobian @ transposed + _TINY * self.length**2 * np.eye(6)
-            step = np.clip(away + (transposed @ np.linalg.solve(square, asked))[:, :, 0], -_LONGEST, _LONGEST)
+            step = np.clip(difference + (transposed @ np.linalg.solve(square, asked))[:, :, 0], -_LONGEST, _LONGEST)
             q[active] += step
             active = active[np.abs(step).max(axis=1) > _SETTLED]
         solved[active] = False
@@ -126,18 +126,18 @@ class NumericalKinematics(Kinematics):
         joints_inside = (inside >= 0).sum(axis=1)
         return options[np.lexsort((-np.where(inside >= 0, inside, np.inf).min(axis=1), -joints_inside))[0]]
 
-    def _follow_near(self, poses: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def _follow_near(self, poses: np.ndarray, references: np.ndarray) -> np.ndarray:
         """(S, n) as `nearest`, on one branch.
 
         Raises:
             KinematicsError: as in `follow`.
         """
-        q, solved = self.nearest(poses, near)
+        q, solved = self.nearest(poses, references)
         if not solved.all():
             index = int(np.flatnonzero(~solved)[0])
-            closest, error = self._converge(poses[index : index + 1], near[index : index + 1])
+            closest, error = self._converge(poses[index : index + 1], references[index : index + 1])
             if error[0] < ACCURACY * self.length:
-                self._raise_branch(index, poses[index], float(np.abs(closest - near[index]).max()))
+                self._raise_branch(index, poses[index], float(np.abs(closest - references[index]).max()))
             self._raise(index, poses[index], closest, error)
         turned = np.abs(np.diff(q, axis=0))[:, self._revolute].max(axis=1)
         if turned.max(initial=0.0) > LARGEST_STEP:
@@ -169,19 +169,21 @@ class NumericalKinematics(Kinematics):
         product = np.sqrt(np.maximum(np.linalg.det(square), 0.0))
         return ~(product * max(others, 1) ** (0.5 * others) > 2.0 * SINGULAR_DISTANCE * whole ** (0.5 * others + 0.5))
 
-    def find(self, poses: np.ndarray, near: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def find(self, poses: np.ndarray, seeds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if self.dof > 6:
-            q, solved = self.nearest(poses, near)
+            q, solved = self.nearest(poses, seeds)
         else:
             # Most are next to where they are looked for: no other solution is nearer than one that is on this branch.
-            q, error = self._converge(poses, near)
-            solved = (error < ACCURACY * self.length) & (np.abs(q - near)[:, self._revolute] <= _NEIGHBOURS).all(axis=1)
+            q, error = self._converge(poses, seeds)
+            solved = (error < ACCURACY * self.length) & (np.abs(q - seeds)[:, self._revolute] <= _NEIGHBOURS).all(
+                axis=1
+            )
         solved &= self.within_limits(q)
         solved[solved] = self.singularity(q[solved])[:, 0] >= SINGULAR_DISTANCE
         unsolved = np.flatnonzero(~solved)
         for k in range(0, len(unsolved), _POSES_AT_ONCE):
             part = unsolved[k : k + _POSES_AT_ONCE]
-            q[part], solved[part] = super().find(poses[part], near[part])
+            q[part], solved[part] = super().find(poses[part], seeds[part])
         return q, solved
 
     def singularity(self, q: np.ndarray) -> np.ndarray:
@@ -196,13 +198,13 @@ class NumericalKinematics(Kinematics):
         best = [int(np.nanargmin(error))] if np.isfinite(error).any() else [0]
         self._raise(0, pose, q[best], error[best])
 
-    def _candidates(self, poses: np.ndarray, near: np.ndarray | None = None) -> InverseSolutions:
+    def _candidates(self, poses: np.ndarray, seeds: np.ndarray | None = None) -> InverseSolutions:
         samples = len(poses)
-        seeds = np.broadcast_to(self._seeds, (samples, *self._seeds.shape))
-        if near is not None:
-            seeds = np.concatenate([near[:, None], seeds], axis=1)
-        tried = seeds.shape[1]
-        q, error = self._converge(np.repeat(poses, tried, axis=0), seeds.reshape(-1, self.dof))
+        starts = np.broadcast_to(self._seeds, (samples, *self._seeds.shape))
+        if seeds is not None:
+            starts = np.concatenate([seeds[:, None], starts], axis=1)
+        tried = starts.shape[1]
+        q, error = self._converge(np.repeat(poses, tried, axis=0), starts.reshape(-1, self.dof))
         distance = self.singularity(q).reshape(samples, tried)
         q = self.nearest_turn(q, self.middle).reshape(samples, tried, self.dof)
         error = error.reshape(samples, tried)

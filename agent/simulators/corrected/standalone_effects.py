@@ -99,8 +99,8 @@ class Effects:
         back = p["delay"] / self.dt
         whole = int(back)
         self._past = [torque, *self._past][: whole + 2]
-        near, far = (self._past[min(k, len(self._past) - 1)] for k in (whole, whole + 1))
-        return np.asarray(p["share"] * ((1 - back + whole) * near + (back - whole) * far - torque))
+        newer, older = (self._past[min(k, len(self._past) - 1)] for k in (whole, whole + 1))
+        return np.asarray(p["share"] * ((1 - back + whole) * newer + (back - whole) * older - torque))
 
     def _slide(self, joint: int, qd: Array) -> Array:
         return np.tanh(qd / self.reversal[joint])
