@@ -177,11 +177,11 @@ class DriverConformance:
         with _connected(bench) as driver:
             assert isinstance(driver, ListensFirst)
             heard: list[SampleBlock] = []
-            begun: list[int] = []
+            motions_started: list[int] = []
             threads: list[threading.Thread] = []
 
             def listen() -> None:
-                begun.append(bench.motions_started())
+                motions_started.append(bench.motions_started())
                 source = driver.samples()
                 threads.append(threading.Thread(target=lambda: heard.extend(source), daemon=True))
                 threads[0].start()
@@ -189,7 +189,7 @@ class DriverConformance:
             driver.listening = listen
             driver.start(_NAME, driver.upload(_NAME, bench.short))
             threads[0].join(_PATIENCE)
-            assert begun == [0]
+            assert motions_started == [0]
             _check_samples(driver, heard, bench)
 
     def test_a_stop_while_it_starts_is_obeyed(self, bench: Bench) -> None:

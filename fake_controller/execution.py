@@ -231,21 +231,21 @@ class Execution:
                     remaining -= self._slice_samples
                 continue
             position, velocity = self._plant.executed_path(chain.trajectory.q, chain.trajectory.qd)
-            speed, given = 1.0, 0  # `given`: the set-point that was given last; the first is the rest before
-            while given < len(position) - 1:
-                if switch.reason is not None and given:
-                    position, velocity = self._retimed(position[given:], velocity[given:], 0.0)
+            speed, last_sent = 1.0, 0  # `last_sent`: number of a set-point; the first is the rest before
+            while last_sent < len(position) - 1:
+                if switch.reason is not None and last_sent:
+                    position, velocity = self._retimed(position[last_sent:], velocity[last_sent:], 0.0)
                     for k in range(1, len(position), self._slice_samples):
                         yield self._follow(*(part[k : k + self._slice_samples] for part in (position, velocity)))
                     yield from self._settle(position[-1], Termination.COARSE, chain.tolerance)
                     return
                 if switch.speed != speed:
                     ratio, speed = switch.speed / speed, switch.speed
-                    position, velocity = self._retimed(position[given:], velocity[given:], ratio)
-                    given = 0
-                until = min(given + self._slice_samples, len(position) - 1)
-                yield self._follow(position[given + 1 : until + 1], velocity[given + 1 : until + 1])
-                given = until
+                    position, velocity = self._retimed(position[last_sent:], velocity[last_sent:], ratio)
+                    last_sent = 0
+                until = min(last_sent + self._slice_samples, len(position) - 1)
+                yield self._follow(position[last_sent + 1 : until + 1], velocity[last_sent + 1 : until + 1])
+                last_sent = until
             reference = position[-1]
             yield from self._settle(reference, chain.termination, chain.tolerance)
 

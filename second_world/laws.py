@@ -278,8 +278,8 @@ def _tool(shape: str) -> Build:
         radius = reach * {"point": 0.005, "ball": 0.05}.get(shape, 0.02)
         m.bodies.append(AddedBody(last, mass, centre, np.full(3, 0.4 * mass * radius**2)))
         if shape == "pair":
-            away = reach * rng.uniform(0.05, 0.15) * _direction(rng)
-            m.bodies.append(AddedBody(last, 0.5 * mass, centre + away, np.full(3, 0.2 * mass * radius**2)))
+            offset = reach * rng.uniform(0.05, 0.15) * _direction(rng)
+            m.bodies.append(AddedBody(last, 0.5 * mass, centre + offset, np.full(3, 0.2 * mass * radius**2)))
         if shape == "rod":
             length = reach * rng.uniform(0.1, 0.25)
             m.bodies.append(AddedBody(last, 0.2 * mass, centre, mass * length**2 / 12 * np.array([1.0, 1.0, 0.05])))

@@ -101,10 +101,10 @@ class OutputRecipe:
         Raises:
             ProtocolError: a package of another length.
         """
-        mine = [content for content in contents if content[:1] == bytes([self.number])]
-        if wrong := [content for content in mine if len(content) != self.layout.itemsize]:
+        own = [content for content in contents if content[:1] == bytes([self.number])]
+        if wrong := [content for content in own if len(content) != self.layout.itemsize]:
             raise ProtocolError(f"RTDE: a sample of {len(wrong[0])} bytes; {self.layout.itemsize} were agreed on")
-        return np.frombuffer(b"".join(mine), self.layout)
+        return np.frombuffer(b"".join(own), self.layout)
 
 
 def input_recipe(names: Sequence[str], answer: bytes) -> int:

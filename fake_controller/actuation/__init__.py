@@ -42,8 +42,8 @@ def effects_text() -> str:
         defaults = {field.name: field.default for field in dataclasses.fields(form)}
         for parameter, unit in form.units().items():
             missing = defaults[parameter] is dataclasses.MISSING
-            shown = "required" if missing else str(defaults[parameter]).replace("(", "[").replace(")", "]")
-            lines.append(f"    {parameter:16}{f'[{unit}]' if unit else '':16}{shown}")
+            default_text = "required" if missing else str(defaults[parameter]).replace("(", "[").replace(")", "]")
+            lines.append(f"    {parameter:16}{f'[{unit}]' if unit else '':16}{default_text}")
     return "\n".join(lines)
 
 

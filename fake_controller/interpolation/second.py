@@ -122,8 +122,8 @@ class SecondInterpolator:
                 sigma = np.linspace(begin, end, count + 1)
                 pieces.append(_Piece((sigma - begin) * leg.length, *leg.at(sigma), (part,)))
             if k + 1 < len(parts):
-                both = (part, parts[k + 1])
-                pieces.append(_Piece(*corner(leg, parts[k + 1].leg, cuts[k + 1], self.law.blend), both))
+                neighbours = (part, parts[k + 1])
+                pieces.append(_Piece(*corner(leg, parts[k + 1].leg, cuts[k + 1], self.law.blend), neighbours))
         return pieces
 
     def _run(self, parts: Sequence[Part], q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,10 +161,10 @@ class SecondInterpolator:
         which = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(stretches) - 1)
         rows = np.empty((len(t), 3, self.robot.dof))
         for k, (stretch, spline) in enumerate(zip(stretches, splines, strict=True)):
-            mine = which == k
-            s, v, a = stretch.at(t[mine] - begins[k])[..., None]
+            of_stretch = which == k
+            s, v, a = stretch.at(t[of_stretch] - begins[k])[..., None]
             q, first, second = (spline(s[:, 0] + ways[k][0], order) for order in range(3))
-            rows[mine] = np.stack((q, first * v, second * v**2 + first * a), axis=1)
+            rows[of_stretch] = np.stack((q, first * v, second * v**2 + first * a), axis=1)
         return rows, which
 
     def _solved(self, pieces: Sequence[_Piece], q: np.ndarray) -> list[np.ndarray]:

@@ -186,9 +186,9 @@ class TrajectoryController:
     def _of(self, goal: Goal) -> Tolerances:
         """Those of a goal: above 0 sets, 0 leaves the default, -1 switches off; what is wrong leaves all of them."""
         tolerances = []
-        for given, default in ((goal.path, self.defaults.path), (goal.goal, self.defaults.goal)):
+        for asked, default in ((goal.path, self.defaults.path), (goal.goal, self.defaults.goal)):
             values = default.copy()
-            for name, value in given.items():
+            for name, value in asked.items():
                 if name not in self.joints or (value < 0.0 and value != -1.0):
                     return self.defaults
                 if value != 0.0:

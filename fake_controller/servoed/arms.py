@@ -178,8 +178,8 @@ def draw_arm(seed: int) -> DrawnArm:
     robot = _robot(bare)
     dynamics = Dynamics(robot)
     whole = _typical(dynamics, robot) + armature
-    some = poses(robot, 64)
-    load = np.abs(dynamics.inverse_dynamics(some, np.zeros_like(some), np.zeros_like(some))).max(axis=0)
+    postures = poses(robot, 64)
+    load = np.abs(dynamics.inverse_dynamics(postures, np.zeros_like(postures), np.zeros_like(postures))).max(axis=0)
     kp = np.maximum((2 * np.pi * rng.uniform(*kind.frequency, n)) ** 2 * whole, load / 0.1)
     damping = 2 * rng.uniform(*kind.ratio, n) * np.sqrt(kp * whole)
     kv = damping * rng.uniform(0.3, 0.8, n)

@@ -61,7 +61,7 @@ def record(
     torque, q = gravity.tolist(), q - gravity / arm.kp
     drive.reset(q.tolist(), torque)
     command, whole, offset = set_points[0].tolist(), [0.0] * n, arm.offset.tolist()
-    kept, loads = dt / (dt + arm.lag), list(machine.joint_loads.items())
+    smoothing, loads = dt / (dt + arm.lag), list(machine.joint_loads.items())
     gains = list(zip(arm.kp.tolist(), arm.kv.tolist(), arm.limit.tolist(), arm.top_speed.tolist(), strict=True))
     step, positions = arm.encoder, np.empty_like(set_points)
     for k in range(int(frames[-1]) + 1):
@@ -82,10 +82,10 @@ def record(
                 whole[j] += fault.integral * error * dt
             wanted = weaker * kp * (error + whole[j]) - kv * turning[j]
             most = limit * max(1.0 - abs(turning[j]) / top, 0.0)  # a motor is weaker the faster it turns
-            torque[j] += kept * (min(max(wanted, -most), most) - torque[j])
+            torque[j] += smoothing * (min(max(wanted, -most), most) - torque[j])
         pull = np.array(drive.step(k * dt, link, speed, torque, dt))
-        for j, some in loads:
-            for load in some:
+        for j, acting_loads in loads:
+            for load in acting_loads:
                 pull[j] += load.torque(link[j], speed[j], dt)
         a = accelerate(q, predicted, pull)
         v = v + dt * a
@@ -106,10 +106,10 @@ def reaches(arm: DrawnArm, rate: float, seconds: float, fastest: float, rng: np.
         if rng.random() < 0.1:
             k = int(rng.integers(n))
             goal[k] = arm.start[k] + rng.choice([-1.02, 1.02]) * arm.half[k]
-        lasting = max(rng.uniform(0.7, 1.8), 1.9 * float(np.abs(goal - at).max()) / fastest)
-        share = np.clip((time - begins) / lasting, 0.0, 1.0)[:, None]
+        duration = max(rng.uniform(0.7, 1.8), 1.9 * float(np.abs(goal - at).max()) / fastest)
+        share = np.clip((time - begins) / duration, 0.0, 1.0)[:, None]
         path += (goal - at) * share**3 * (10 - 15 * share + 6 * share**2)
-        at, begins = goal, begins + lasting + rng.choice([0.0, rng.uniform(0.1, 0.8)])
+        at, begins = goal, begins + duration + rng.choice([0.0, rng.uniform(0.1, 0.8)])
     slow = np.cumsum(rng.normal(size=(count, n)), axis=0) / np.sqrt(rate)
     smooth = slow - np.stack([np.convolve(column, np.ones(9) / 9, mode="same") for column in slow.T], axis=1)
     tremor = 2e-3 * smooth / max(float(smooth.std()), 1e-9)

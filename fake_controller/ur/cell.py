@@ -490,8 +490,8 @@ class UrCell(UrState):
                 case Request(early=True):
                     deferred.append(request)
                 case Go():
-                    near = move.joints if move.joints is not None else self._interpolator.q
-                    after = self._in_joints(request, near)
+                    reference = move.joints if move.joints is not None else self._interpolator.q
+                    after = self._in_joints(request, reference)
                     if not self._overlaps(move.goal, move.radius, after):
                         return after, deferred
                 case _:
@@ -499,12 +499,12 @@ class UrCell(UrState):
                     break
         return None, deferred
 
-    def _in_joints(self, request: Go, near: np.ndarray) -> UrMove:
+    def _in_joints(self, request: Go, reference: np.ndarray) -> UrMove:
         move = replace(request.move, line=request.line)
         if move.kind != "joint" or move.joints is not None:
             return move
         try:
-            return replace(move, joints=self.kinematics.nearest(move.goal @ np.linalg.inv(move.tcp), near))
+            return replace(move, joints=self.kinematics.nearest(move.goal @ np.linalg.inv(move.tcp), reference))
         except Unreachable as error:
             raise ScriptError(f"runtime_error: {error}", request.line) from None
 

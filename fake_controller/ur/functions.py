@@ -155,9 +155,9 @@ class _Functions:
         joints = np.array(target, float) if kind == "joint" and not isinstance(target, Pose) else None
         return Go(UrMove(kind, self._pose_of(target), self._cell.tcp, v, a, r, 0, joints, via, t))
 
-    def _solved(self, x: Any, near: Any) -> list[float]:
+    def _solved(self, x: Any, reference: Any) -> list[float]:
         flange = self._pose_of(x) @ np.linalg.inv(self._cell.tcp)
-        return self._cell.kinematics.nearest(flange, np.array(near or self._cell.reference, float)).tolist()
+        return self._cell.kinematics.nearest(flange, np.array(reference or self._cell.reference, float)).tolist()
 
     def _pose_of(self, target: Any) -> np.ndarray:
         return matrix_of(target) if isinstance(target, Pose) else _tcp_at(self._cell, np.array(target, float))

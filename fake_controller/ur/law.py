@@ -121,11 +121,11 @@ class Stretch:
             places = poses[:, :3, 3]
         else:
             places = self.offsets(s)[:, :3]
-        away = np.linalg.norm(places - places[-1 if of_goal else 0], axis=1)
+        distance = np.linalg.norm(places - places[-1 if of_goal else 0], axis=1)
         if of_goal:
-            s, away = self.length - s[::-1], away[::-1]
-        beyond = int(np.argmax(away > radius)) if away.max() > radius else _FINE - 1
-        return float(np.interp(radius, away[max(beyond - 1, 0) : beyond + 1], s[max(beyond - 1, 0) : beyond + 1]))
+            s, distance = self.length - s[::-1], distance[::-1]
+        beyond = int(np.argmax(distance > radius)) if distance.max() > radius else _FINE - 1
+        return float(np.interp(radius, distance[max(beyond - 1, 0) : beyond + 1], s[max(beyond - 1, 0) : beyond + 1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +159,8 @@ class UrInterpolator:
         Raises:
             Unreachable: out of reach, or a singularity on the way.
         """
-        begun, speed = (0.0, 0.0) if self._entered is None else self._entered[1:]
-        now = tuple(np.round([*self.q, self._next, begun, speed], 9).tolist())
+        start, speed = (0.0, 0.0) if self._entered is None else self._entered[1:]
+        now = tuple(np.round([*self.q, self._next, start, speed], 9).tolist())
         key = (now, move.key, after and after.key)
         if key not in self._plans:
             planned = self._plan(move, after)
@@ -172,18 +172,18 @@ class UrInterpolator:
         return planned
 
     def _plan(self, move: UrMove, after: UrMove | None) -> PlannedSetpoints:
-        stretch, begun, speed = self._entered or (Stretch(self._arm, move, self.q), 0.0, 0.0)
+        stretch, start, speed = self._entered or (Stretch(self._arm, move, self.q), 0.0, 0.0)
         if after is None:
-            goal = self._along(stretch, begun, stretch.length, speed, 0.0, stops=True)
+            goal = self._along(stretch, start, stretch.length, speed, 0.0, stops=True)
             self._entered, self._next = None, self._period
             return self._setpoints([goal], len(goal), stops=True)
         corner = stretch.joints(np.zeros((1, 6)), self.q)[0]
         following = Stretch(self._arm, after, corner)
-        blend = _Blend(stretch, following, self._law, begun, speed)
-        straight = self._along(stretch, begun, stretch.length - blend.before, speed, blend.entering)
+        blend = _Blend(stretch, following, self._law, start, speed)
+        straight = self._along(stretch, start, stretch.length - blend.before, speed, blend.entering)
         at = self._times(blend.duration)
-        near = straight[-1] if len(straight) else self.q
-        turned = blend.joints(at, near) if len(at) else np.zeros((0, 6))
+        last = straight[-1] if len(straight) else self.q
+        turned = blend.joints(at, last) if len(at) else np.zeros((0, 6))
         self._entered = following, blend.after, blend.leaving
         return self._setpoints([straight, turned], len(straight))
 
@@ -221,15 +221,15 @@ class UrInterpolator:
 class _Blend:
     """From one stretch into the next: `before` of the first and `after` of the second are left out of both."""
 
-    def __init__(self, first: Stretch, second: Stretch, law: BlendLaw, begun: float, speed: float) -> None:
+    def __init__(self, first: Stretch, second: Stretch, law: BlendLaw, start: float, speed: float) -> None:
         self._first, self._second = first, second
         self._place_on_curve: Callable[[np.ndarray], np.ndarray] = lambda t: t / self.duration
         radius = law.begin * first.move.radius
-        self.before = min(first.within(radius, of_goal=True), 0.98 * (first.length - begun))
+        self.before = min(first.within(radius, of_goal=True), 0.98 * (first.length - start))
         self.after = min(second.within(radius, of_goal=False), 0.98 * second.length)
         keeps = law.keeps_speed or first.move.kind == "process"
         stoppable = np.sqrt(2 * second.acceleration * (second.length - self.after))
-        reachable = np.sqrt(speed**2 + 2 * first.acceleration * (first.length - begun - self.before))
+        reachable = np.sqrt(speed**2 + 2 * first.acceleration * (first.length - start - self.before))
         self.entering = min(first.speed, reachable)
         self._rounded = first.straight and second.straight and first.in_joints == second.in_joints
         if not self._rounded:
@@ -274,15 +274,15 @@ class _Blend:
         self.duration = float(travelled[-1]) / speed
         self._place_on_curve = lambda t: np.interp(speed * t, travelled, u)
 
-    def _between(self, u: np.ndarray, near: np.ndarray) -> np.ndarray:
+    def _between(self, u: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """Where the stretches have no space in common: a cubic of the joints."""
         ends = []
         begin = self._first.length - self.before
         for stretch, s, speed in ((self._first, begin, self.entering), (self._second, self.after, self.leaving)):
             step = 1e-4 * stretch.length
-            q = stretch.joints(stretch.offsets(np.array([s - step, s, s + step])), near)
+            q = stretch.joints(stretch.offsets(np.array([s - step, s, s + step])), reference)
             ends.append((q[1], (q[2] - q[0]) / (2 * step) * speed * self.duration))
-            near = q[1]
+            reference = q[1]
         (q0, v0), (q1, v1) = ends
         u = u[:, None]
         return q0 + u * (v0 + u * (3 * (q1 - q0) - 2 * v0 - v1 + u * (2 * (q0 - q1) + v0 + v1)))

@@ -111,19 +111,19 @@ class _Beginning:
             return
         if self._rest is None:
             self._rest = positions[0]
-        away = np.abs(positions - self._rest).max(axis=1)
-        beyond = np.flatnonzero(away > _MOVED)
+        distances = np.abs(positions - self._rest).max(axis=1)
+        beyond = np.flatnonzero(distances > _MOVED)
         if len(beyond) == 0:
-            self._last = (float(times[-1]), float(away[-1]))
+            self._last = (float(times[-1]), float(distances[-1]))
             return
         k = int(beyond[0])
         if k > 0:
-            self._last = (float(times[k - 1]), float(away[k - 1]))
-        time, distance = float(times[k]), float(away[k])
+            self._last = (float(times[k - 1]), float(distances[k - 1]))
+        time, distance = float(times[k]), float(distances[k])
         if self._last is not None:
             # From rest the way grows with the square of time.
-            before, near = self._last
-            part = (np.sqrt(_MOVED) - np.sqrt(near)) / (np.sqrt(distance) - np.sqrt(near))
+            before, last_distance = self._last
+            part = (np.sqrt(_MOVED) - np.sqrt(last_distance)) / (np.sqrt(distance) - np.sqrt(last_distance))
             time = before + float(part) * (time - before)
         self.time = time
 

@@ -297,10 +297,10 @@ class ModbusDriver(LinkDriver[ModbusLink, RingMotion]):
     def _beat(self) -> None:
         self._beaten = time.monotonic()
         motion = self._guarded_motion
-        taken = 0 if motion is None else motion.expected
-        self._connected().write(wire.HEARTBEAT, session=self._session, count=next(self._beats) % 65536, taken=taken)
+        expected = 0 if motion is None else motion.expected
+        self._connected().write(wire.HEARTBEAT, session=self._session, count=next(self._beats) % 65536, taken=expected)
         if motion is not None:
-            motion.shown_from = taken
+            motion.shown_from = expected
 
 
 def _fits(name: str) -> None:

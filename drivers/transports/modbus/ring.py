@@ -105,8 +105,8 @@ class RingMotion(SampleStream):
 
     def _take_chunk(self) -> None:
         slot = self.expected % self._slots
-        shown = self.shown_from + self._slots - self.expected
-        count = min(self._produced - self.expected, self._slots - slot, shown, _CHUNK)
+        room = self.shown_from + self._slots - self.expected
+        count = min(self._produced - self.expected, self._slots - slot, room, _CHUNK)
         if count <= 0:
             return
         size = wire.slot_registers(self._joints)
@@ -117,13 +117,13 @@ class RingMotion(SampleStream):
             self._link.carry_out_waiting()
             registers += self._link.read_registers(at, min(wire.MAX_READ, end - at))
         slots = wire.unpack_slots(np.array(registers, np.uint16), self._joints, self.expected)
-        taken = len(slots.sequence)
-        if taken:
+        received = len(slots.sequence)
+        if received:
             times, (q, qd, torque, reference, reference_rate) = slots.time_ns * 1e-9, slots.values
             self.take(SampleBlock(slots.sequence, times, q, qd, torque, reference, reference_rate, time.time()))
-            self.expected += taken
+            self.expected += received
             self._damaged = 0
-        if taken < count:  # the one after is damaged: again, but not for ever
+        if received < count:  # the one after is damaged: again, but not for ever
             self._damaged += 1
             if self._damaged >= _ATTEMPTS:
                 self._lose(self.expected + 1)

@@ -133,10 +133,10 @@ class Ros:
         """Handle the messages that have come."""
         for subscription, kind, take in self._polled.copy():
             for _ in range(DEPTH):
-                taken = subscription.handle.take_message(kind, True)
-                if taken is None:
+                message = subscription.handle.take_message(kind, True)
+                if message is None:
                     break
-                take(taken[0])
+                take(message[0])
 
     def spin_for(self, seconds: float) -> None:
         """Handle what comes for some time [s]."""

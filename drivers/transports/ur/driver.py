@@ -291,7 +291,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
         def over() -> bool:
             return motion.fault is not None or motion.stopping or motion.over
 
-        begun = link.wait(lambda: runs() or over(), self._timeout)
+        started = link.wait(lambda: runs() or over(), self._timeout)
         link.check()
         motion.check()
         if motion.fault is not None:
@@ -299,7 +299,7 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             raise RefusedError(
                 f"{self.address}: the controller refused program {program.name}: {motion.fault} ({motion.seen})"
             )
-        if not begun:
+        if not started:
             raise DriverError(
                 f"{self.address}: the controller did not start program {program.name} within {self._timeout:g} s "
                 f"({motion.seen}). Is the primary interface switched on there, and the robot in remote control?"
@@ -312,10 +312,10 @@ class UrDriver(LinkDriver[UrLink, UrMotion]):
             DriverError: it does not, or the motion is to end.
         """
 
-        def taken() -> bool:
+        def permit_taken() -> bool:
             return int(link.latest[rtde.RUNNING]) != program.number
 
-        if not link.wait(lambda: taken() or motion.stopping or motion.over, self._timeout) or not taken():
+        if not link.wait(lambda: permit_taken() or motion.stopping or motion.over, self._timeout) or not permit_taken():
             link.check()
             motion.check()
             raise motion.foreign or DriverError(

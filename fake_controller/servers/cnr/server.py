@@ -174,8 +174,8 @@ class TrajectoryPort(Port):
         if outcome is not QueueStatus.BUSY:
             wrong = self._controller.faults.acts("sequence_error")
             outcome = QueueStatus.ERROR if wrong else self.queue.add(point)
-        taken = outcome is QueueStatus.READY
-        self._answer(client, message, taken, self._queue_status() if taken else outcome, point.sequence_number)
+        accepted = outcome is QueueStatus.READY
+        self._answer(client, message, accepted, self._queue_status() if accepted else outcome, point.sequence_number)
 
     def _run_points(self, client: Client, message: Message) -> None:
         """Once there is a start and an end."""
