@@ -53,7 +53,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     servos, groups = diagnosis.dataset.servos, diagnosis.released.groups if diagnosis.released else ()
     if servos is not None and _moves_worse(diagnosis, change):
         loads = (group for group in groups_of(diagnosis.dataset) if group.kind == LOAD)
-        change, groups = servos.about, (*drive_groups(diagnosis.dataset), *loads)
+        change, groups = servos.fitted, (*drive_groups(diagnosis.dataset), *loads)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.rows_per_independent
     closes = {step.step: step.closes for step in diagnosis.document.waterfall}
 
@@ -77,8 +77,8 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     of_model = change[: len(simulator.model.values)].copy()
     if servos is not None:  # the file's simulator adds inertia to what it says
         robot, rotors = diagnosis.dataset.robot, ParameterLayout.of(diagnosis.dataset.robot).rotors
-        moved = np.isin(np.arange(robot.dof), list(released.rotors))
-        of_model[:b] -= simulator.model.projection[:, rotors] @ (moved * servos.added / robot.gear_ratios**2)
+        added = np.isin(np.arange(robot.dof), list(released.rotors)) * servos.simulation.inertia
+        of_model[:b] -= simulator.model.projection[:, rotors] @ (added / robot.gear_ratios**2)
     reversing = reversals_as_effects(diagnosis.dataset.model, of_model)
     effects += reversing
     reasons |= {(effect.effect, effect.joints): "how friction reverses" for effect in reversing}
@@ -110,8 +110,8 @@ def _moves_worse(diagnosis: Diagnosis, change: np.ndarray) -> bool:
         return False
     numbers = servo_numbers(dataset, released.groups, change).possible
     least = dataset.fit.sigma.min(axis=0)
-    chosen = np.hypot(servos.free_error(numbers, gained_load(released)), least)
-    fitted = np.hypot(servos.fit_error, least)
+    chosen = np.hypot(servos.simulation.error(numbers, gained_load(released)), least)
+    fitted = np.hypot(servos.simulation.fit_error, least)
     return bool(np.sqrt(np.mean((chosen / fitted) ** 2)) > LIMITS.alike)
 
 
@@ -170,7 +170,7 @@ def _with_servos(
     servos, own = diagnosis.dataset.servos, correction.given.servos
     if servos is None or not isinstance(own, PositionServos):
         return correction
-    viscous = correction.given.damping + change[servos.layout.viscous]
+    viscous = correction.given.damping + change[servos.layout.damping]
     damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
     every = np.arange(len(servos.file.kp))
     moves = {kind: np.isin(every, [g.joint for g in groups if g.kind == kind]) for kind in (GAIN, OFFSET)}
@@ -181,4 +181,4 @@ def _with_servos(
         delay=np.maximum(own.delay + change[servos.layout.delay], 0.0),
         offset=np.where(moves[OFFSET], servos.offsets(change), own.offset),
     )
-    return with_servos(correction, changed, servos.simulated, reasons)
+    return with_servos(correction, changed, servos.simulation.arm, reasons)

@@ -70,11 +70,9 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
                 ends = _ends(value, size * deviation[own][0])
                 result.append(Range(f"actuator of {name}", FileNumbers.OFFSET, value, *ends, "rad"))
             else:
-                value = servos.file.delay[joint if joint >= 0 else slice(None)].mean() + delay_of(
-                    released, change, group
-                )
-                owner = f"actuator of {name}" if joint >= 0 else "actuators"
-                result.append(_range(owner, "delay", value, servos.delay * deviation[own][0], "s"))
+                owner, own_delay = ("actuators", slice(None)) if joint < 0 else (f"actuator of {name}", joint)
+                value = servos.file.delay[own_delay].mean() + delay_of(released, change, group)
+                result.append(_range(owner, "delay", value, servos.prior.delay * deviation[own][0], "s"))
             continue
         unit, way = robot.joints[joint].torque_unit, robot.joints[joint].position_unit
         if group.kind == FileNumbers.FRICTION:

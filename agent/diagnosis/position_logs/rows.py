@@ -33,94 +33,96 @@ from agent.diagnosis.position_logs.recording import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, precision_of
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of, segments_of
-from agent.diagnosis.rows.servos import PositionLayout, ServoParameters
+from agent.diagnosis.rows.servos import ComparedSimulation, PositionLayout, ServoParameters, ServoPrior
 from agent.diagnosis.rows.standstill import StandstillWhitening
-from agent.model import IdentifiedModel, NominalModel
+from agent.model import IdentifiedModel, MotionSignals, NominalModel
 from agent.recording import Log
-from agent.simulators import KINDS, ServoNumbers, SimulatedArm, model_of
+from agent.robot import RobotDescription
+from agent.simulators import KINDS, ServoNumbers, Simulator, model_of
 
 _EXACT = 1e-6  # standard deviation of a number that may not move, over its usual change
 _LEAST = 1e-3  # numerical: of the largest value, usual change of one that is zero
 
 
 def assemble_positions(
-    found: OutputErrorFit, arm: SimulatedArm, model: IdentifiedModel, logs: Sequence[Log]
+    fit: OutputErrorFit, simulator: Simulator, logs: Sequence[Log], known_kp: bool, later: float
 ) -> Dataset:
-    """The rows of a fit; `model` is that of the file."""
-    n, given = model.robot.dof, found.simulator.numbers
-    as_given = _as_given(found)
-    error = _expected_error(found)
+    """The rows of a fit of a simulator's file; `later` [s] and `known_kp` as in `ServoParameters`."""
+    error, model = _expected_error(fit), simulator.model
     bare = replace(model.robot, joints=tuple(replace(j, nominal_motor_torque=None) for j in model.robot.joints))
-    at = replace(
-        arm, armature=found.numbers.armature, frictionloss=found.numbers.friction, damping=found.numbers.damping
-    )
-    fitted = with_link(model_of(at, bare, dict(model.provenance)), found.load)
-    fitted = replace(fitted, held_out_rmse=error, residual_rmse=error)
-    reference = NominalModel(fitted)
-    scale = usual_scale(reference, found.numbers, found.stretches)
-    layout = PositionLayout.create(len(model.independent), n)
-    from_file = np.zeros(layout.size)
-    from_file[layout.base] = fitted.base_values - model.base_values
-    from_file[layout.coulomb] = found.numbers.friction - given.friction
-    from_file[layout.viscous] = found.numbers.damping - given.damping
-    from_file[layout.kp] = found.numbers.kp - given.kp
-    from_file[layout.stiffness] = found.numbers.stiffness - given.stiffness
-    from_file[layout.offset] = found.numbers.offset - given.offset
-    from_file[layout.delay] = found.numbers.delay - given.delay
-    rows: list[list[np.ndarray]] = [[] for _ in range(n)]
-    signals = []
-    for line, residual, numbers in zip(found.motions, found.residuals, found.columns, strict=True):
-        columns, residual = (line.stretch.averaged(x) for x in (model_columns(line, reference, numbers), residual))
-        at_file = residual + columns @ from_file
-        for j in range(n):
-            rows[j].append(np.column_stack([columns[:, j], at_file[:, j]]) / error[j])
-        of_positions = replace(
-            line.signals, position_response=_position_response(line), through_play=_through_play(line)
-        )
-        signals.append(replace(of_positions, reference=reference, kept=line.rows))
-    joined = [np.concatenate(part) for part in rows]
+    reference = _fitted_reference(fit, simulator, bare, error)
+    servos = _servo_parameters(fit, reference, model, known_kp, later)
+    signals, rows = _rows(fit, reference, servos.fitted, error)
     time = np.concatenate([s.time[s.kept] for s in signals])
     log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
-    sigma = np.broadcast_to(error, (len(time), n)).copy()
+    sigma = np.broadcast_to(error, (len(time), len(error))).copy()
     cell, folds, segment_folds = folds_of(time, log, logs)
-    usual = np.full(layout.size, USUAL_DELAY)
-    usual[: len(model.values)] = np.abs(model.values) + _LEAST * np.abs(model.values).max()
-    usual[layout.kp], usual[layout.bend] = given.kp, given.damping
-    usual[layout.cut] = widest_lag(found.stretches)
-    by_kind = ServoNumbers.of_table(scale[: len(KINDS) * n].reshape(-1, n))
-    usual[layout.stiffness], usual[layout.offset] = by_kind.stiffness, by_kind.offset
-    covariance = np.diag((_EXACT * usual) ** 2)
-    index = [np.arange(len(usual))] * n
+    prior = precision_of(servos.prior.covariance), np.zeros(servos.layout.size)
+    index = [np.arange(servos.layout.size)] * len(error)
     block = segments_of(time, log, logs, LIMITS.block)
-    rests = StandstillWhitening(tuple(() for _ in range(n)))
-    precision = precision_of(covariance)
-    nothing = np.zeros(len(usual))
-    fit = Fit(reference, signals, joined, index, sigma, precision, nothing, cell, block, folds, segment_folds, rests)
+    rests = StandstillWhitening(tuple(() for _ in error))
+    of_rows = Fit(reference, signals, rows, index, sigma, *prior, cell, block, folds, segment_folds, rests)
     speed = np.concatenate([s.qd[s.kept] for s in signals])
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
-    simulator = found.simulator
-    added = simulator.added_inertia(found.numbers)
-    lag = widest_lag(found.stretches)
-    servos = ServoParameters(
-        layout,
-        covariance,
-        USUAL_DELAY,
-        given,
-        from_file,
-        simulator.arm,
-        added,
-        load_shape(found.load[: len(LOAD_NUMBERS)]) * scale[-4:],
-        by_kind.stiffness if found.parameters.springs else None,
-        by_kind.offset,
-        tuple(np.flatnonzero(simulator.servos.in_unit).tolist()),
-        partial(_free_error, found),
-        found.rmse,
-        cut=lag if found.stretches[0].nearest < np.inf else 0.0,
-        step=simulator.step,
-        one_delay=found.parameters.one_delay,
+    as_given = _as_given(fit)
+    return Dataset(bare, judged, True, of_rows, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
+
+
+def _fitted_reference(
+    fit: OutputErrorFit, simulator: Simulator, robot: RobotDescription, error: np.ndarray
+) -> NominalModel:
+    """The model of the file with the numbers and the load of the fit, which leaves an error (n,) [rad or m]."""
+    arm, numbers = simulator.arm, fit.numbers
+    arm = replace(arm, armature=numbers.armature, frictionloss=numbers.friction, damping=numbers.damping)
+    model = model_of(arm, robot, dict(simulator.model.provenance))
+    return NominalModel(replace(with_link(model, fit.load), held_out_rmse=error, residual_rmse=error))
+
+
+def _servo_parameters(
+    fit: OutputErrorFit, reference: NominalModel, model: IdentifiedModel, known_kp: bool, later: float
+) -> ServoParameters:
+    """Numbers of the file, of which `model` is, and of the fit, of which the `reference` is."""
+    simulator, file = fit.simulator, fit.simulator.numbers
+    layout = PositionLayout.create(len(model.independent), len(file.kp))
+    fitted = np.zeros(layout.size)
+    fitted[layout.base] = reference.model.base_values - model.base_values
+    for kind, place in layout.of_numbers.items():
+        fitted[place] = getattr(fit.numbers, kind) - getattr(file, kind)
+    scale, lag = usual_scale(reference, fit.numbers, fit.stretches), widest_lag(fit.stretches)
+    by_kind = ServoNumbers.of_table(scale[:-5].reshape(len(KINDS), -1))
+    usual = np.full(layout.size, USUAL_DELAY)
+    usual[: len(model.values)] = np.abs(model.values) + _LEAST * np.abs(model.values).max()
+    usual[layout.kp], usual[layout.bend] = file.kp, file.damping
+    usual[layout.cut], usual[layout.stiffness], usual[layout.offset] = lag, by_kind.stiffness, by_kind.offset
+    prior = ServoPrior(
+        covariance=np.diag((_EXACT * usual) ** 2),
+        delay=USUAL_DELAY,
+        spring=by_kind.stiffness if fit.parameters.springs else None,
+        offset=by_kind.offset,
+        with_offset=tuple(np.flatnonzero(simulator.servos.in_unit).tolist()),
+        load=load_shape(fit.load[: len(LOAD_NUMBERS)]) * scale[-4:],
+        cut=lag if fit.stretches[0].nearest < np.inf else 0.0,
+        one_delay=fit.parameters.one_delay,
+        kp_known=known_kp,
     )
-    return Dataset(bare, judged, True, fit, as_given, speed, time, log, tuple(logs), rate, rate / 2, servos)
+    inertia, error = simulator.added_inertia(fit.numbers), partial(_free_error, fit)
+    simulation = ComparedSimulation(simulator.arm, simulator.step, inertia, error, fit.rmse)
+    return ServoParameters(layout, file, fitted, prior, simulation, later)
+
+
+def _rows(
+    fit: OutputErrorFit, reference: NominalModel, fitted: np.ndarray, error: np.ndarray
+) -> tuple[list[MotionSignals], list[np.ndarray]]:
+    """Signals per stretch, and per joint (S', p + 1) the columns and the residual of the file, over the error (n,)."""
+    signals, columns, residuals = [], [], []
+    for line, residual, numbers in zip(fit.motions, fit.residuals, fit.columns, strict=True):
+        columns.append(line.stretch.averaged(model_columns(line, reference, numbers)))
+        residuals.append(line.stretch.averaged(residual) + columns[-1] @ fitted)
+        responses = replace(line.signals, position_response=_position_response(line), through_play=_through_play(line))
+        signals.append(replace(responses, reference=reference, kept=line.rows))
+    whole = np.concatenate([np.concatenate(columns), np.concatenate(residuals)[:, :, None]], axis=2)
+    return signals, [np.ascontiguousarray(whole[:, j]) / error[j] for j in range(len(error))]
 
 
 def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.ndarray) -> np.ndarray:
@@ -133,14 +135,10 @@ def model_columns(line: LinearisedMotion, reference: NominalModel, numbers: np.n
     speeds, n = line.signals.qd.T, numbers.shape[1]
     layout = PositionLayout.create(base.shape[2], n)
     columns = np.zeros((*numbers.shape[:2], layout.size))
-    _, damping, friction, kp, stiffness, delay, offset, cut = np.split(
-        numbers, np.arange(n, numbers.shape[2], n), axis=2
-    )
-    columns[:, :, layout.coulomb], columns[:, :, layout.viscous] = friction, damping
-    columns[:, :, layout.kp], columns[:, :, layout.cut] = kp, cut
-    columns[:, :, layout.stiffness] = stiffness
-    columns[:, :, layout.offset], columns[:, :, layout.delay] = offset, delay
     columns[:, :, layout.base] = line.response.of_torque({j: base[:, j] for j in range(n)})
+    for kind, place in layout.of_numbers.items():
+        columns[:, :, place] = numbers[:, :, KINDS.index(kind) * n :][:, :, :n]
+    columns[:, :, layout.cut] = numbers[:, :, len(KINDS) * n :]
     bends = [line.response.of_torque({j: (qd * np.abs(qd))[:, None]}) for j, qd in enumerate(speeds)]
     columns[:, :, layout.bend] = np.concatenate(bends, axis=2)
     return columns

@@ -199,10 +199,10 @@ def _line(
     servos = diagnosis.dataset.servos
     assert servos is not None
     free, begins = (
-        FreeSimulator(replace(simulator.arm, excluded=servos.simulated.excluded)),
+        FreeSimulator(replace(simulator.arm, excluded=servos.simulation.arm.excluded)),
         np.append(set_points[0], np.zeros(set_points.shape[1])),
     )
-    if np.any(servos.simulated.impedance > simulator.arm.impedance):
+    if np.any(servos.simulation.arm.impedance > simulator.arm.impedance):
         free = free.holding()
     command = RecordedCommand(time, set_points, True)
     stretch = CommandedStretch(len(diagnosis.dataset.logs), time, set_points, command, begins)

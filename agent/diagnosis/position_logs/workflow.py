@@ -93,9 +93,7 @@ def search_positions(
     free, reference = FreeSimulator(simulator.arm), NominalModel(simulator.model)
     progress("running the simulator under the recorded command")
     fit, how, later = _fitted(free, reference, logs, progress, known_kp)
-    dataset = assemble_positions(fit, simulator.arm, simulator.model, logs)
-    if dataset.servos is not None:
-        dataset = replace(dataset, servos=replace(dataset.servos, kp_known=known_kp, later=later))
+    dataset = assemble_positions(fit, simulator, logs, known_kp, later)
     said = [*_about(fit, how, later, simulator.arm.impedance), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
     return PositionExplanation(explain_rows(dataset, without, progress), tuple(said))
 

@@ -57,7 +57,7 @@ class Dataset:
     @property
     def stored_covariance(self) -> np.ndarray:
         """(p, p) covariance of the parameters as they were given."""
-        return self.model.covariance if self.servos is None else self.servos.covariance
+        return self.model.covariance if self.servos is None else self.servos.prior.covariance
 
     @cached_property
     def open_error(self) -> np.ndarray:

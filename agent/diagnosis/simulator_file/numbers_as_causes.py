@@ -126,7 +126,7 @@ def springs_as_effects(dataset: Dataset, groups: Sequence[Group], change: np.nda
         ModelEffect(
             _NAMES[SPRING],
             (names[j],),
-            {"constant": float(-more[j] * servos.simulated.rest[j]), "stiffness": float(more[j])},
+            {"constant": float(-more[j] * servos.simulation.arm.rest[j]), "stiffness": float(more[j])},
         )
         for j in (group.joint for group in groups if group.kind == SPRING)
         if more[j] > 0

@@ -91,26 +91,27 @@ def load_groups(dataset: Dataset) -> list[Group]:
     if (servos := dataset.servos) is None:
         return []
     model, last = dataset.model, dataset.robot.load_link
-    directions = np.zeros((servos.layout.size, servos.load.shape[1]))
-    directions[servos.layout.base] = model.projection[:, ParameterLayout.of(dataset.robot).link(last)] @ servos.load
-    return [Group(LOAD, last, directions, servos.load[range(4), range(4)])]
+    load = servos.prior.load
+    directions = np.zeros((servos.layout.size, load.shape[1]))
+    directions[servos.layout.base] = model.projection[:, ParameterLayout.of(dataset.robot).link(last)] @ load
+    return [Group(LOAD, last, directions, load[range(4), range(4)])]
 
 
 def _of_servos(dataset: Dataset) -> list[Group]:
     """The gain of each servo, which may be wrong by any factor, its offset, and what the recorder does to commands."""
     if (servos := dataset.servos) is None:
         return []
-    layout = servos.layout
-    late = np.zeros((layout.size, 2 if servos.cut else 1))
-    late[layout.delay, 0] = servos.delay
-    late[layout.cut, 1:] = servos.cut
-    own_delays = np.full(len(servos.file.kp), servos.delay)
+    layout, prior = servos.layout, servos.prior
+    late = np.zeros((layout.size, 2 if prior.cut else 1))
+    late[layout.delay, 0] = prior.delay
+    late[layout.cut, 1:] = prior.cut
+    own_delays = np.full(len(servos.file.kp), prior.delay)
     return [
-        *([] if servos.kp_known else _one_by_one(GAIN, layout, layout.kp, servos.file.kp)),
+        *([] if prior.kp_known else _one_by_one(GAIN, layout, layout.kp, servos.file.kp)),
         *_offsets(dataset),
-        *([] if servos.spring is None else _one_by_one(SPRING, layout, layout.stiffness, servos.spring)),
+        *([] if prior.spring is None else _one_by_one(SPRING, layout, layout.stiffness, prior.spring)),
         Group(DELAY, -1, late, np.ones(late.shape[1])),
-        *([] if servos.one_delay else _one_by_one(OWN_DELAY, layout, layout.delay, own_delays)),
+        *([] if prior.one_delay else _one_by_one(OWN_DELAY, layout, layout.delay, own_delays)),
     ]
 
 
@@ -127,8 +128,8 @@ def _offsets(dataset: Dataset, share: float = 1.0) -> list[Group]:
     """
     if (servos := dataset.servos) is None:
         return []
-    groups = _one_by_one(OFFSET, servos.layout, servos.layout.offset, share * servos.offset)
-    return [groups[j] for j in servos.with_offset]
+    groups = _one_by_one(OFFSET, servos.layout, servos.layout.offset, share * servos.prior.offset)
+    return [groups[j] for j in servos.prior.with_offset]
 
 
 def drive_groups(dataset: Dataset, released: Collection[tuple[str, int]] = ()) -> list[Group]:

@@ -168,7 +168,7 @@ def gained_parameters(released: ReleasedSimulator, group: Group) -> dict[str, fl
     coefficients = np.linalg.lstsq(directions, released.moved.fit.change, rcond=1e-9)[0][start:]
     names = ("mass", *(f"moment_{k}" for k in "xyz"), *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
     if group.kind == LOAD and given.servos is not None:
-        return dict(zip(names, map(float, given.servos.load @ coefficients[:4]), strict=True))
+        return dict(zip(names, map(float, given.servos.prior.load @ coefficients[:4]), strict=True))
     prior_std = given.fit.reference.prior_std[ParameterLayout.of(given.robot).link(group.joint)]
     gained = coefficients[:10] * prior_std
     return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}

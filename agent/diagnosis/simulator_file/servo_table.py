@@ -65,14 +65,14 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     assert servos is not None
     doubtful = doubtful_gains(found)
     values, low, high = _intervals(found)
-    of_step = 0.5 * servos.step * values.damping
+    of_step = 0.5 * servos.simulation.step * values.damping
     low, high = replace(low, armature=low.armature - of_step), replace(high, armature=high.armature + of_step)
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
     for key in SERVO_NUMBERS:
         kind, unknown = key.removesuffix("_s"), doubtful if key in _OF_GAIN else ()
         ends = np.stack([getattr(numbers, kind) for numbers in (values, low, high)], axis=1)
         table[key] = tuple(None if k in unknown else _possible(kind, *ends[k]) for k in range(len(names)))
-    scale = "kp" if servos.kp_known else "none" if len(doubtful) == len(names) else "gravity"
+    scale = "kp" if servos.prior.kp_known else "none" if len(doubtful) == len(names) else "gravity"
     told: dict[str, Any] = {"servo": table, "scale_from": scale}
     if doubtful:
         ratios = np.stack([numbers.table for numbers in _intervals(found, over_gain=True)], axis=2)
@@ -102,7 +102,7 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[Servo
     assert dataset.servos is not None
     groups = drive_groups(dataset, explanation.released.parts)
     drives = [*groups, *(group for group in explanation.released.groups if group.moves_links)]
-    about = servo_numbers(dataset, drives, dataset.servos.about).table
+    about = servo_numbers(dataset, drives, dataset.servos.fitted).table
 
     def form(numbers: np.ndarray) -> np.ndarray:
         if not over_gain:
@@ -121,7 +121,7 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[Servo
         without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0]).table) for fold in folds]
         spread = np.maximum(spread, jackknife(np.stack(without)))
     delay = KINDS.index("delay")
-    spread[delay] += 0.5 * dataset.servos.step
+    spread[delay] += 0.5 * dataset.servos.simulation.step
     values, free = form(values), form(free)
     low, high = np.minimum(values, free) - spread, np.maximum(values, free) + spread
     low[delay] += min(dataset.servos.later, 0.0)
@@ -177,24 +177,22 @@ def _whole_torque(dataset: Dataset) -> np.ndarray:
         elif group.kind == "rotor inertia":
             whole.armature[group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
     assert dataset.servos is not None
-    return replace(whole, offset=dataset.servos.offset).table
+    return replace(whole, offset=dataset.servos.prior.offset).table
 
 
 def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> ServoNumbers:
     """Those of the file, moved by a change (p,)."""
     servos = dataset.servos
     assert servos is not None
-    layout, moved = servos.layout, np.zeros(len(servos.file.kp))
+    moved = np.zeros(len(servos.file.kp))
     coefficients = _inverse(groups) @ change if groups else np.zeros(0)
     at = 0
     for group in groups:
         if group.kind == "rotor inertia":
             moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
         at += group.directions.shape[1]
-    damping, friction, kp = change[layout.viscous], change[layout.coulomb], change[layout.kp]
-    late, offset = change[layout.delay], change[layout.offset]
-    more = ServoNumbers(moved, damping, friction, kp, change[layout.stiffness], late, offset)
-    return ServoNumbers.of_table(servos.file.table + more.table)
+    more = {kind: change[place] for kind, place in servos.layout.of_numbers.items()}
+    return ServoNumbers.of_table(servos.file.table + ServoNumbers(moved, **more).table)
 
 
 def _deviations(
