@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.diagnosis.position_logs.fitting import Parameters, fit_output_error, missed, usual_scale
+from agent.diagnosis.position_logs.fitting import OutputErrorProblem, Parameters, fit_output_error, missed, usual_scale
 from agent.diagnosis.position_logs.recording import CommandedStretch, stretches_of
 from agent.model import NominalModel
 from agent.recording import read_recording
@@ -93,8 +93,8 @@ def main() -> None:
         return ServoNumbers(*own, file.kp, file.stiffness, late, file.offset)
 
     began = time.process_time()
-    scale = usual_scale(reference, file, fitted)
-    fit = fit_output_error(free, reference, fitted, file, file, Parameters.create(scale, fixed=("kp",)))
+    parameters = Parameters.create(usual_scale(reference, file, fitted).vector, fixed=("kp",))
+    fit = fit_output_error(OutputErrorProblem(free, reference, tuple(fitted), parameters), file)
     ours, ours_s = fit.numbers, time.process_time() - began
     began = time.process_time()
     theirs = numbers(cma_es(lambda point: error_of(free, numbers(point), fitted), 3 * len(file.kp) + 1, generations))

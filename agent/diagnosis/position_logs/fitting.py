@@ -34,14 +34,47 @@ USUAL_DELAY = 0.1  # s, standard deviation of a delay before the logs
 LOAD_NUMBERS = ("m0", "hx0", "hy0", "hz0")  # mass and first moments of a load at the last link
 _LOAD = len(LOAD_NUMBERS)
 _LIGHTEST = 1e-6  # kg, below which a load has no inertia
-_DELAY, _OFFSET = KINDS.index("delay"), KINDS.index("offset")
 #: Kinds that are the file's until the motion says otherwise.
 EXTRA = ("offset", "stiffness")
 
 
 @dataclass(frozen=True, eq=False)
+class MovedNumbers:
+    """What a fit moves: numbers of n servos, how near [rad or m] commands are cut (0: not), `LOAD_NUMBERS` (4,)."""
+
+    servos: ServoNumbers
+    cut: float
+    load: np.ndarray
+
+    @classmethod
+    def of_vector(cls, vector: np.ndarray) -> MovedNumbers:
+        """From (7 n + 5,), in the order of `vector`."""
+        table = vector[: -_LOAD - 1].reshape(len(KINDS), -1)
+        return cls(ServoNumbers.of_table(table), float(vector[-_LOAD - 1]), vector[-_LOAD:])
+
+    @property
+    def vector(self) -> np.ndarray:
+        """(7 n + 5,) numbers of servos kind by kind, the cut, and the load."""
+        return np.concatenate([self.servos.table.ravel(), [self.cut], self.load])
+
+    @property
+    def at_zero(self) -> np.ndarray:
+        """(7 n + 5,) bool: which numbers cannot fall, as all but offsets and the moments of a load where they are 0."""
+        of_servos = np.repeat([kind != "offset" for kind in KINDS], len(self.servos.kp))
+        return np.concatenate([of_servos, [True], np.arange(_LOAD) == 0]) & (self.vector <= 0)
+
+    def possible(self, reach: float) -> MovedNumbers:
+        """The nearest ones that can be: none below zero but offsets, no load beyond the arm's reach [m]."""
+        servos = self.servos.possible
+        mass, moments = max(self.load[0], 0.0), self.load[1:]
+        moment, largest = float(np.linalg.norm(moments)), reach * mass
+        load = np.append(mass, moments * (min(1.0, largest / moment) if moment > 0 else 1.0))
+        return MovedNumbers(replace(servos, delay=np.minimum(servos.delay, LONGEST_DELAY)), max(self.cut, 0.0), load)
+
+
+@dataclass(frozen=True, eq=False)
 class Parameters:
-    """Which of the 7 n numbers, the cut of commands and 4 numbers of a load are free, and which move together.
+    """Which of the `MovedNumbers` are free, and which move together.
 
     `basis` (7 n + 5, p) of their change, `scale` (7 n + 5,) how far each may usually move; `one_delay` of the arm, or
     one of each joint; `springs`: stiffness is free.
@@ -57,18 +90,54 @@ class Parameters:
         cls, scale: np.ndarray, fixed: Sequence[str] = (), one_delay: bool = True, load: bool = False
     ) -> Parameters:
         """All numbers but kinds that are `fixed`, and the cut; one delay of the arm, or one a joint; a `load`."""
-        kinds, n = len(KINDS), (len(scale) - 1 - _LOAD) // len(KINDS)
-        eye = np.eye(len(scale))
-        columns = []
-        for number, kind in enumerate(KINDS):
-            own = eye[:, number * n : (number + 1) * n]
-            if kind in fixed:
-                continue
-            columns.append(own.sum(axis=1, keepdims=True) if kind == "delay" and one_delay else own)
-        columns.append(eye[:, kinds * n : kinds * n + 1])
-        if load:
-            columns.append(eye[:, kinds * n + 1 :])
-        return cls(np.hstack(columns), scale, one_delay, "stiffness" not in fixed)
+        servos = len(scale) - 1 - _LOAD
+        eye = np.eye(len(scale))[:, : None if load else servos + 1]
+        kinds = dict(zip(KINDS, np.split(eye[:, :servos], len(KINDS), axis=1), strict=True))
+        if one_delay:
+            kinds["delay"] = kinds["delay"].sum(axis=1, keepdims=True)
+        free = [part for kind, part in kinds.items() if kind not in fixed]
+        return cls(np.hstack([*free, eye[:, servos:]]), scale, one_delay, "stiffness" not in fixed)
+
+    @property
+    def size(self) -> np.ndarray:
+        """(p,) how far each free parameter may usually move."""
+        squares = self.basis**2
+        return np.sqrt(np.maximum((squares * self.scale[:, None] ** 2).sum(axis=0) / squares.sum(axis=0), 1e-300))
+
+
+@dataclass(frozen=True, eq=False)
+class OutputErrorProblem:
+    """Which stretches a simulator has to follow, by what; `reference` is the model of its file, without a load."""
+
+    simulator: FreeSimulator
+    reference: NominalModel
+    stretches: tuple[CommandedStretch, ...]
+    parameters: Parameters
+
+    def cut(self, numbers: MovedNumbers) -> tuple[CommandedStretch, ...]:
+        """The stretches, their commands cut as the numbers say where they were cut."""
+        if self.stretches[0].nearest == np.inf:
+            return self.stretches
+        return tuple(stretch.cut(numbers.cut) for stretch in self.stretches)
+
+    def run(self, numbers: MovedNumbers) -> list[FreeMotion] | None:
+        """The motions with other numbers; None where the simulator blows up."""
+        if not np.all(np.isfinite(numbers.vector)):
+            return None
+        load = numbers.load
+        carrying = self.simulator.carrying(load_shape(load) @ load) if load.any() else self.simulator
+        motions = []
+        for stretch in self.cut(numbers):
+            if (motion := stretch.run(carrying, numbers.servos)) is None:
+                return None
+            motions.append(motion)
+        return motions
+
+    def linearised(self, numbers: MovedNumbers, motions: Sequence[FreeMotion]) -> Iterator[LinearisedMotion]:
+        """The motions with these numbers, with their linear response."""
+        carrying = _loaded(self.reference, numbers.load)
+        for stretch, motion in zip(self.cut(numbers), motions, strict=True):
+            yield stretch.linearised(self.simulator, numbers.servos, motion, carrying)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +163,18 @@ class OutputErrorFit:
         return [motion.number_columns(self.simulator, self.numbers) for motion in self.motions]
 
     @property
+    def problem(self) -> OutputErrorProblem:
+        """What was fitted, with the commands as they were found to be cut."""
+        return OutputErrorProblem(self.simulator, self.reference, self.stretches, self.parameters)
+
+    @property
     def rmse(self) -> np.ndarray:
         """(n,) root mean square over all frames."""
         return np.sqrt(np.mean(np.concatenate(self.residuals) ** 2, axis=0))
 
 
-def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> np.ndarray:
-    """(7 n + 5,) of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
+def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> MovedNumbers:
+    """Of each number what would take all of its joint's torque; of kp itself, of a delay `USUAL_DELAY`.
 
     Of a cut it is the widest lag, of a load what would take the strongest joint's torque at full reach.
     """
@@ -117,11 +191,11 @@ def usual_scale(reference: NominalModel, numbers: ServoNumbers, stretches: Seque
     )
     offset, torque = torque, torque * numbers.kp
     delay = np.full(len(torque), USUAL_DELAY)
-    servos = np.stack([torque / accelerations, torque / speeds, torque, numbers.kp, torque / travel, delay, offset])
+    servos = ServoNumbers(torque / accelerations, torque / speeds, torque, numbers.kp, torque / travel, delay, offset)
     weight = max(float(np.linalg.norm(reference.robot.gravity)), 1.0)
     mass = float(torque.max()) / weight / reference.reach
     load = mass * np.array([1.0, *[reference.reach] * (_LOAD - 1)])
-    return np.concatenate([servos.ravel(), [widest_lag(stretches)], load])
+    return MovedNumbers(servos, widest_lag(stretches), load)
 
 
 def widest_lag(stretches: Sequence[CommandedStretch]) -> float:
@@ -145,13 +219,58 @@ def usual_twist(motions: Sequence[FreeMotion], kp: np.ndarray) -> np.ndarray:
     return np.asarray(np.maximum(torque / np.maximum(kp, 1e-9), 1e-6))
 
 
+@dataclass(frozen=True, eq=False)
+class _Iterate:
+    """Numbers, their change (p,) from the file's, the motions, and residuals and cost there."""
+
+    numbers: MovedNumbers
+    change: np.ndarray
+    motions: list[FreeMotion]
+    residuals: list[np.ndarray]
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class _LevenbergMarquardt:
+    """Steps down the cost, Σ (residual / expected (n,))² and that of the prior."""
+
+    problem: OutputErrorProblem
+    expected: np.ndarray
+
+    def at(self, numbers: MovedNumbers, change: np.ndarray, motions: list[FreeMotion]) -> _Iterate:
+        """The residuals and the cost of motions."""
+        residuals = [missed(s, m) for s, m in zip(self.problem.stretches, motions, strict=True)]
+        cost = sum(float(np.sum((residual / self.expected) ** 2)) for residual in residuals)
+        cost += float(np.sum((change / self.problem.parameters.size) ** 2))
+        return _Iterate(numbers, change, motions, residuals, cost)
+
+    def normal_equations(self, iterate: _Iterate) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix (p, p) and right-hand side (p,) of the linear step."""
+        basis, size = self.problem.parameters.basis, self.problem.parameters.size
+        matrix, side = np.diag(1 / size**2), -iterate.change / size**2
+        lines = self.problem.linearised(iterate.numbers, iterate.motions)
+        for line, residual in zip(lines, iterate.residuals, strict=True):
+            of_servos = line.number_columns(self.problem.simulator, iterate.numbers.servos)
+            columns = _columns(line, of_servos, iterate.numbers.load, basis)
+            rows = (columns / self.expected[None, :, None]).reshape(-1, len(size))
+            matrix += rows.T @ rows
+            side += rows.T @ (residual / self.expected).ravel()
+        return matrix, side
+
+    def lower(self, iterate: _Iterate, matrix: np.ndarray, side: np.ndarray, weight: float) -> _Iterate | None:
+        """Where the step, damped by a weight, leads; None if that is not lower."""
+        problem, basis = self.problem, self.problem.parameters.basis
+        step = _bounded_step(matrix, side, weight, basis, iterate.numbers.at_zero)
+        numbers = MovedNumbers.of_vector(iterate.numbers.vector + basis @ step).possible(problem.reference.reach)
+        if (motions := problem.run(numbers)) is None:
+            return None
+        trial = self.at(numbers, iterate.change + step, motions)
+        return trial if trial.cost < iterate.cost else None
+
+
 def fit_output_error(
-    simulator: FreeSimulator,
-    reference: NominalModel,
-    stretches: Sequence[CommandedStretch],
-    file: ServoNumbers,
+    problem: OutputErrorProblem,
     start: ServoNumbers,
-    parameters: Parameters,
     progress: Callable[[str], None] = lambda text: None,
     gained: float = _GAINED,
     load: np.ndarray | None = None,
@@ -164,61 +283,33 @@ def fit_output_error(
     Raises:
         InputError: the simulator blows up with the numbers to start from.
     """
-    basis, scale = parameters.basis, parameters.scale
-    size = np.sqrt(np.maximum((basis**2 * scale[:, None] ** 2).sum(axis=0) / (basis**2).sum(axis=0), 1e-300))
-    n, cut = len(start.kp), stretches[0].nearest if stretches[0].nearest < np.inf else 0.0
-    begun = np.zeros(_LOAD) if load is None else load[:_LOAD]
-    table, last = np.concatenate([start.table.ravel(), [cut], begun]), len(KINDS) * n
-    first = _run(simulator, table, stretches)
-    if first is None:
+    simulator, stretches, parameters = problem.simulator, problem.stretches, problem.parameters
+    cut = stretches[0].nearest if stretches[0].nearest < np.inf else 0.0
+    numbers = MovedNumbers(start, cut, np.zeros(_LOAD) if load is None else load[:_LOAD])
+    if (motions := problem.run(numbers)) is None:
         raise InputError(f"{simulator.arm.path}: the simulator blows up under the recorded command as the file is")
-    motions: list[FreeMotion] = first
     sigma = np.hypot(position_step(stretches) * np.sqrt(UNIFORM), LIMITS.least_error * usual_twist(motions, start.kp))
-    x = np.linalg.lstsq(basis, table - np.concatenate([file.table.ravel(), [cut], np.zeros(_LOAD)]), rcond=None)[0]
-    expected = np.hypot(sigma, errors)
-    weight, residuals = _DAMPING, _left(stretches, motions)
-
-    def cost_of(residuals_at: Sequence[np.ndarray], at: np.ndarray) -> float:
-        return sum(float(np.sum((residual / expected) ** 2)) for residual in residuals_at) + float(
-            np.sum((at / size) ** 2)
-        )
-
-    def linearised() -> Iterator[LinearisedMotion]:
-        carrying = _loaded(reference, table[-_LOAD:])
-        for stretch, motion in zip(_cut(stretches, table), motions, strict=True):
-            yield stretch.linearised(simulator, ServoNumbers.of_table(table[:last].reshape(-1, n)), motion, carrying)
-
-    cost = cost_of(residuals, x)
+    from_file = numbers.vector - MovedNumbers(simulator.numbers, cut, np.zeros(_LOAD)).vector
+    change = np.linalg.lstsq(parameters.basis, from_file, rcond=None)[0]
+    descent = _LevenbergMarquardt(problem, np.hypot(sigma, errors))
+    iterate, weight = descent.at(numbers, change, motions), _DAMPING
     for number in range(_ROUNDS):
-        numbers = ServoNumbers.of_table(table[:last].reshape(-1, n))
-        matrix, side = np.diag(1 / size**2), -x / size**2
-        for line, missing in zip(linearised(), residuals, strict=True):
-            columns = _columns(line, line.number_columns(simulator, numbers), table[-_LOAD:], basis)
-            rows = (columns / expected[None, :, None]).reshape(-1, len(size))
-            matrix += rows.T @ rows
-            side += rows.T @ (missing / expected).ravel()
-        drop = 0.0
+        matrix, side = descent.normal_equations(iterate)
         for _ in range(_TRIES):
-            step = _bounded_step(matrix, side, weight, basis, table)
-            moved = _possible(table + basis @ step, last, reference.reach)
-            now = _run(simulator, moved, stretches)
-            if now is not None:
-                left_now = _left(stretches, now)
-                if (cost_now := cost_of(left_now, x + step)) < cost:
-                    drop = 1 - cost_now / cost
-                    table, x, motions, residuals, cost = moved, x + step, now, left_now, cost_now
-                    break
+            if (lower := descent.lower(iterate, matrix, side, weight)) is not None:
+                break
             weight *= _STIFFER
-        if not drop:
+        if lower is None:
             break
+        drop, iterate = 1 - lower.cost / iterate.cost, lower
         weight = max(weight * _LOOSER, 1e-8)
         progress(f"output error, round {number + 1}")
         if drop < gained:
             break
-    numbers, lines = ServoNumbers.of_table(table[:last].reshape(-1, n)), tuple(linearised())
-    carried = load_shape(table[-_LOAD:]) @ table[-_LOAD:]
-    at = _cut(stretches, table)
-    return OutputErrorFit(simulator, reference, parameters, numbers, at, lines, tuple(residuals), sigma, carried)
+    numbers, load = iterate.numbers, iterate.numbers.load
+    lines, carried = tuple(problem.linearised(numbers, iterate.motions)), load_shape(load) @ load
+    of_file, residuals = (simulator, problem.reference, parameters), tuple(iterate.residuals)
+    return OutputErrorFit(*of_file, numbers.servos, problem.cut(numbers), lines, residuals, sigma, carried)
 
 
 def _columns(line: LinearisedMotion, of_numbers: np.ndarray, load: np.ndarray, basis: np.ndarray) -> np.ndarray:
@@ -227,13 +318,6 @@ def _columns(line: LinearisedMotion, of_numbers: np.ndarray, load: np.ndarray, b
     if basis[-_LOAD:].any():
         columns += line.load_columns(load_shape(load)) @ basis[-_LOAD:]
     return np.asarray(columns)
-
-
-def _cut(stretches: Sequence[CommandedStretch], table: np.ndarray) -> tuple[CommandedStretch, ...]:
-    """The stretches, their commands cut as the table says where they were cut."""
-    if stretches[0].nearest == np.inf:
-        return tuple(stretches)
-    return tuple(stretch.cut(float(table[-_LOAD - 1])) for stretch in stretches)
 
 
 def load_shape(load: np.ndarray) -> np.ndarray:
@@ -257,61 +341,25 @@ def with_link(model: Model, gained: np.ndarray) -> Model:
     return replace(model, values=values)
 
 
-def _possible(table: np.ndarray, last: int, reach: float) -> np.ndarray:
-    """The numbers and the load next to these that can be: none below zero but offsets, no load beyond the arm's
-    reach."""
-    possible = np.where(_not_negative(table), np.maximum(table, 0.0), table)
-    kinds = possible[:last].reshape(len(KINDS), -1)
-    kinds[_DELAY] = np.minimum(kinds[_DELAY], LONGEST_DELAY)
-    away, most = float(np.linalg.norm(possible[last + 2 :])), reach * possible[last + 1]
-    possible[last + 2 :] *= min(1.0, most / away) if away > 0 else 1.0
-    return possible
-
-
-def _not_negative(table: np.ndarray) -> np.ndarray:
-    """(7 n + 5,) bool: which numbers cannot be below zero: all but offsets and the moments of a load."""
-    count, which = len(table) - 1 - _LOAD, np.arange(len(table))
-    return np.asarray((which <= count + 1) & (which // (count // len(KINDS)) != _OFFSET))
-
-
-def _left(stretches: Sequence[CommandedStretch], motions: Sequence[FreeMotion]) -> list[np.ndarray]:
-    return [missed(stretch, motion) for stretch, motion in zip(stretches, motions, strict=True)]
-
-
 def missed(stretch: CommandedStretch, motion: FreeMotion) -> np.ndarray:
     """(S', n) what a motion misses of the judged positions."""
     return stretch.position[stretch.judged] - motion.at(stretch.time[stretch.judged])
 
 
 def _bounded_step(
-    matrix: np.ndarray, side: np.ndarray, weight: float, basis: np.ndarray, table: np.ndarray
+    matrix: np.ndarray, side: np.ndarray, weight: float, basis: np.ndarray, at_zero: np.ndarray
 ) -> np.ndarray:
     """The damped step; numbers and a mass that are zero and would fall stay there."""
-    bounded = _not_negative(table)
     free = np.ones(len(matrix), dtype=bool)
     for _ in range(len(matrix)):
-        at = np.flatnonzero(free)
-        some = matrix[np.ix_(at, at)]
-        unit = 1 / np.sqrt(np.diag(some))
-        some = some * np.outer(unit, unit) + weight * np.eye(len(at))
+        moving = np.flatnonzero(free)
+        damped = matrix[np.ix_(moving, moving)]
+        unit = 1 / np.sqrt(np.diag(damped))
+        damped = damped * np.outer(unit, unit) + weight * np.eye(len(moving))
         step = np.zeros(len(matrix))
-        step[at] = unit * np.linalg.solve(some, unit * side[at])
-        below = bounded & (table <= 0) & (basis @ step < 0)
-        stopped = np.any(basis[below] != 0, axis=0) & free
+        step[moving] = unit * np.linalg.solve(damped, unit * side[moving])
+        stopped = np.any(basis[at_zero & (basis @ step < 0)] != 0, axis=0) & free
         if not stopped.any():
             break
         free &= ~stopped
     return step
-
-
-def _run(simulator: FreeSimulator, table: np.ndarray, stretches: Sequence[CommandedStretch]) -> list[FreeMotion] | None:
-    if not np.all(np.isfinite(table)):
-        return None
-    numbers, load = ServoNumbers.of_table(table[: -_LOAD - 1].reshape(len(KINDS), -1)), table[-_LOAD:]
-    carrying = simulator.carrying(load_shape(load) @ load) if load.any() else simulator
-    ran = []
-    for stretch in _cut(stretches, table):
-        if (motion := stretch.run(carrying, numbers)) is None:
-            return None
-        ran.append(motion)
-    return ran

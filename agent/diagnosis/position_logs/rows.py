@@ -26,7 +26,6 @@ from agent.diagnosis.position_logs.fitting import (
     position_step,
     usual_scale,
     usual_twist,
-    widest_lag,
     with_link,
 )
 from agent.diagnosis.position_logs.recording import LinearisedMotion
@@ -89,20 +88,20 @@ def _servo_parameters(
     fitted[layout.base] = reference.model.base_values - model.base_values
     for kind, place in layout.of_numbers.items():
         fitted[place] = getattr(fit.numbers, kind) - getattr(file, kind)
-    scale, lag = usual_scale(reference, fit.numbers, fit.stretches), widest_lag(fit.stretches)
-    by_kind = ServoNumbers.of_table(scale[:-5].reshape(len(KINDS), -1))
+    scale = usual_scale(reference, fit.numbers, fit.stretches)
+    spring, offset = scale.servos.stiffness, scale.servos.offset
     usual = np.full(layout.size, USUAL_DELAY)
     usual[: len(model.values)] = np.abs(model.values) + _LEAST * np.abs(model.values).max()
     usual[layout.kp], usual[layout.bend] = file.kp, file.damping
-    usual[layout.cut], usual[layout.stiffness], usual[layout.offset] = lag, by_kind.stiffness, by_kind.offset
+    usual[layout.cut], usual[layout.stiffness], usual[layout.offset] = scale.cut, spring, offset
     prior = ServoPrior(
         covariance=np.diag((_EXACT * usual) ** 2),
         delay=USUAL_DELAY,
-        spring=by_kind.stiffness if fit.parameters.springs else None,
-        offset=by_kind.offset,
+        spring=spring if fit.parameters.springs else None,
+        offset=offset,
         with_offset=tuple(np.flatnonzero(simulator.servos.in_unit).tolist()),
-        load=load_shape(fit.load[: len(LOAD_NUMBERS)]) * scale[-4:],
-        cut=lag if fit.stretches[0].nearest < np.inf else 0.0,
+        load=load_shape(fit.load[: len(LOAD_NUMBERS)]) * scale.load,
+        cut=scale.cut if fit.stretches[0].nearest < np.inf else 0.0,
         one_delay=fit.parameters.one_delay,
         kp_known=known_kp,
     )

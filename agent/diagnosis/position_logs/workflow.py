@@ -21,6 +21,7 @@ from agent.diagnosis.position_logs.fitting import (
     EXTRA,
     LOAD_NUMBERS,
     OutputErrorFit,
+    OutputErrorProblem,
     Parameters,
     fit_output_error,
     missed,
@@ -118,45 +119,63 @@ def _fitted(
     # of a start that fades with e^(-t / T), what counts as nothing is left
     lasting = -float(np.log(LIMITS.negligible)) * float(np.max(file.damping / np.maximum(file.kp, 1e-9)))
     settling = min(lasting, min(log.t[-1] - log.t[0] for log in logs) / LIMITS.blocks)
-    stretches, chance = stretches_of(logs, ways[0] == HELD, settling), _by_chance(1)
-    scale = usual_scale(reference, file, stretches)
+    stretches = stretches_of(logs, ways[0] == HELD, settling)
     by_equation = numbers_by_equation(reference, file, stretches)
     free = free_of_contacts(free, (file, by_equation), stretches)
-    rough = Parameters.create(scale, fixed=("kp", *EXTRA))
-    fine = rough if known_kp else Parameters.create(scale, fixed=EXTRA)
+    fixed = ("kp", *EXTRA) if known_kp else EXTRA
+    parameters = Parameters.create(usual_scale(reference, file, stretches).vector, fixed)
+    bare = _stiffness_of_friction(OutputErrorProblem(free, reference, stretches, parameters), by_equation, progress)
+    best = _with_cut_commands(bare, _settled(_simplest(bare, progress, known_kp), progress), progress, known_kp)
+    return (best, "", 0.0) if len(ways) == 1 else _hold_of_commands(best, logs, settling, progress)
+
+
+def _stiffness_of_friction(
+    problem: OutputErrorProblem, by_equation: ServoNumbers, progress: Callable[[str], None]
+) -> OutputErrorFit:
+    """The fit with friction as soft as the file's, or that holds a stationary joint where that does better."""
+    rough = Parameters.create(problem.parameters.scale, fixed=("kp", *EXTRA))
 
     def fitted(arm: FreeSimulator) -> OutputErrorFit:
-        begin = fit_output_error(arm, reference, stretches, file, file, rough, progress, _ROUGH).numbers
-        begin = min((begin, by_equation), key=lambda numbers: error_of(arm, numbers, stretches))
-        return fit_output_error(arm, reference, stretches, file, begin, fine, progress)
+        of_arm = replace(problem, simulator=arm)
+        start = fit_output_error(replace(of_arm, parameters=rough), arm.numbers, progress, _ROUGH).numbers
+        start = min((start, by_equation), key=lambda numbers: error_of(arm, numbers, problem.stretches))
+        return fit_output_error(of_arm, start, progress)
 
-    soft, firm = fitted(free), fitted(free.holding())
-    bare = firm if _gains(soft, firm).sum() > chance else soft
-    held, nearest = _settled(_simplest(bare, reference, progress, known_kp), progress), np.inf
-    for of_file in (True, False):
-        numbers = replace(file, delay=bare.numbers.delay) if of_file else bare.numbers
-        if (narrower := _nearest(bare, numbers, stretches)) == np.inf:
+    soft, firm = fitted(problem.simulator), fitted(problem.simulator.holding())
+    return firm if _gains(soft, firm).sum() > _by_chance(1) else soft
+
+
+def _with_cut_commands(
+    bare: OutputErrorFit, uncut: OutputErrorFit, progress: Callable[[str], None], known_kp: bool
+) -> OutputErrorFit:
+    """The fit with commands that a recorder cut, where that explains more than a load and the like of `uncut` do."""
+    for numbers in (replace(bare.simulator.numbers, delay=bare.numbers.delay), bare.numbers):
+        if (nearest := _nearest(bare, numbers)) == np.inf:
             continue
-        cut = [stretch.cut(narrower) for stretch in stretches]
-        again = fit_output_error(bare.simulator, reference, cut, file, numbers, fine, progress)
-        if _gains(bare, again).sum() <= chance:
+        problem = replace(bare.problem, stretches=tuple(stretch.cut(nearest) for stretch in bare.stretches))
+        again = fit_output_error(problem, numbers, progress)
+        if _gains(bare, again).sum() <= _by_chance(1):
             continue
-        if held.load.any():  # a load imitates a cut
-            loaded = _settled(_simplest(again, reference, progress, known_kp), progress)
-        else:
-            loaded = _settled(replace(held, stretches=tuple(s.cut(narrower) for s in held.stretches)), progress)
-        cuts = loaded.stretches[0].nearest >= _nearest_cut(stretches)
-        if cuts and _gains(held, loaded).sum() > chance:  # more than a load without a cut explains
-            held, nearest = loaded, loaded.stretches[0].nearest
-            break
-    if len(ways) == 1:
-        return held, "", 0.0
+        start = replace(uncut, stretches=problem.stretches)
+        if uncut.load.any():  # a load imitates a cut
+            start = _simplest(again, progress, known_kp)
+        cut = _settled(start, progress)
+        believed = cut.stretches[0].nearest >= _nearest_cut(bare.stretches)
+        if believed and _gains(uncut, cut).sum() > _by_chance(1):
+            return cut
+    return uncut
+
+
+def _hold_of_commands(
+    held: OutputErrorFit, logs: Sequence[Log], settling: float, progress: Callable[[str], None]
+) -> tuple[OutputErrorFit, str, float]:
+    """The fit with commands `held` from frame to frame or smooth between them, as `_fitted` has it."""
     # a held command is late by half a frame in the middle
-    begin = replace(held.numbers, delay=held.numbers.delay + 0.5 * _frame(stretches))
-    stretches = tuple(stretch.cut(nearest) for stretch in stretches_of(logs, False, settling))
-    smooth = _again(replace(held, stretches=stretches, numbers=begin), progress)
-    taken, how, other = (smooth, SMOOTH, held) if _gains(held, smooth).sum() > chance else (held, HELD, smooth)
-    return taken, how, float(np.mean(other.numbers.delay - taken.numbers.delay))
+    start = replace(held.numbers, delay=held.numbers.delay + 0.5 * _frame(held.stretches))
+    stretches = tuple(stretch.cut(held.stretches[0].nearest) for stretch in stretches_of(logs, False, settling))
+    smooth = _again(replace(held, stretches=stretches, numbers=start), progress)
+    chosen, how, other = (smooth, SMOOTH, held) if _gains(held, smooth).sum() > _by_chance(1) else (held, HELD, smooth)
+    return chosen, how, float(np.mean(other.numbers.delay - chosen.numbers.delay))
 
 
 def _settled(fit: OutputErrorFit, progress: Callable[[str], None]) -> OutputErrorFit:
@@ -166,31 +185,26 @@ def _settled(fit: OutputErrorFit, progress: Callable[[str], None]) -> OutputErro
 
 def _again(fit: OutputErrorFit, progress: Callable[[str], None]) -> OutputErrorFit:
     """The fit from its own numbers on, joints weighed by the errors that it left."""
-    simulator, stretches, parameters = fit.simulator, fit.stretches, fit.parameters
-    given = simulator, fit.reference, stretches, simulator.numbers, fit.numbers, parameters, progress
-    return fit_output_error(*given, load=fit.load, errors=fit.rmse)
+    return fit_output_error(fit.problem, fit.numbers, progress, load=fit.load, errors=fit.rmse)
 
 
-def _simplest(
-    fit: OutputErrorFit, reference: NominalModel, progress: Callable[[str], None], known_kp: bool
-) -> OutputErrorFit:
+def _simplest(fit: OutputErrorFit, progress: Callable[[str], None], known_kp: bool) -> OutputErrorFit:
     """The fit that what follows is linear about: one with gains, or with a load at the last link and gains as they are.
 
     Gains, friction and rotors of all joints together imitate a load, and it them. So each is tried by itself. The other
     one, an offset of each servo, a spring at each joint, and a delay of each joint in place of the arm's follow one by
     one where they do better than chance, what does best first.
     """
-    stretches, file = fit.stretches, fit.simulator.numbers
+    file = fit.simulator.numbers
     n = len(file.kp)
-    scale = np.maximum(*(usual_scale(reference, numbers, stretches) for numbers in (file, fit.numbers)))
+    scales = (usual_scale(fit.reference, numbers, fit.stretches).vector for numbers in (file, fit.numbers))
+    scale = np.maximum(*scales)
     count = {"kp": n, "load": len(LOAD_NUMBERS)} | dict.fromkeys(EXTRA, n) | ({"delay": n - 1} if n > 1 else {})
 
     def fitted(start: OutputErrorFit, numbers: ServoNumbers, free: Sequence[str], **how: float) -> OutputErrorFit:
         fixed = [kind for kind in ("kp", *EXTRA) if kind not in free]
         parameters = Parameters.create(scale, fixed, "delay" not in free, "load" in free)
-        return fit_output_error(
-            fit.simulator, reference, stretches, file, numbers, parameters, progress, load=start.load, **how
-        )
+        return fit_output_error(replace(fit.problem, parameters=parameters), numbers, progress, load=start.load, **how)
 
     loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ["load"], gained=_ROUGH)
     if np.mean(np.log(loaded.rmse / fit.rmse)) < np.log(LIMITS.usual_error):
@@ -212,7 +226,7 @@ def _simplest(
     return best
 
 
-def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[CommandedStretch]) -> float:
+def _nearest(fit: OutputErrorFit, numbers: ServoNumbers) -> float:
     """About how near [rad or m] to the positions commands were cut; infinite where no cut does better.
 
     A recorder with such a limit (LeRobot's max_relative_target) stores what was wanted, not what was sent. The
@@ -220,17 +234,17 @@ def _nearest(fit: OutputErrorFit, numbers: ServoNumbers, stretches: Sequence[Com
     """
 
     def error(nearest: float) -> float:
-        cut = [stretch.cut(nearest) for stretch in stretches]
+        cut = [stretch.cut(nearest) for stretch in fit.stretches]
         motions = [stretch.run(fit.simulator, numbers) for stretch in cut]
         pairs = zip(cut, motions, strict=True)
         return sum(np.inf if m is None else float(np.sum((missed(s, m) / fit.sigma) ** 2)) for s, m in pairs)
 
-    narrower = widest_lag(stretches) * _NARROWER ** np.arange(1, _CUTS)
+    narrower = widest_lag(fit.stretches) * _NARROWER ** np.arange(1, _CUTS)
     best, least = np.inf, error(np.inf)
-    for nearest in narrower[narrower >= _nearest_cut(stretches)].tolist():
-        if (now := error(nearest)) > LIMITS.alike**2 * least:  # the error falls towards a cut, and rises beyond it
+    for nearest in narrower[narrower >= _nearest_cut(fit.stretches)].tolist():
+        if (here := error(nearest)) > LIMITS.alike**2 * least:  # the error falls towards a cut, and rises beyond it
             break
-        best, least = (nearest, now) if now < least else (best, least)
+        best, least = (nearest, here) if here < least else (best, least)
     return best
 
 
