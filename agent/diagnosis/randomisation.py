@@ -16,11 +16,11 @@ import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, OWN_DELAY, groups_of
+from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, OWN_DELAY, Group, groups_of
 from agent.diagnosis.simulator_file.released_numbers import delay_of
 from agent.diagnosis.sizes import unit_of
 from agent.model import FileNumbers
-from agent.simulators import Correction
+from agent.simulators import Correction, SimulatedArm
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,32 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     """All numbers that the diagnosis moved or found, as the correction writes them; empty without a simulator file."""
     if diagnosis.released is None:
         return ()
+    fit, released, names = diagnosis.selected.fit, diagnosis.released, diagnosis.dataset.robot.joint_names
+    change, effects = fit.fitted()
+    of_groups, of_effects = _deviations(diagnosis)
+    result = list[Range]()
+    for group in released.groups:
+        own, of_groups = np.split(of_groups, [group.directions.shape[1]])
+        if group.kind in (GAIN, OFFSET, DELAY, OWN_DELAY):
+            result.append(_of_servo(diagnosis, change, group, float(own[0])))
+        else:
+            result += _of_arm(diagnosis, correction.arm, group, own)
+    for candidate, values in zip(fit.chosen, effects, strict=True):
+        own, of_effects = np.split(of_effects, [len(values)])
+        slides = any(diagnosis.dataset.robot.joints[j].prismatic for j in candidate.joints)
+        for name, value, deviation in zip(candidate.names, values, own, strict=True):
+            unit = _unit(candidate.effect.name, name, slides)
+            result.append(Range(candidate.text(names), name, float(value), *_ends(value, deviation), unit))
+    return tuple(result)
+
+
+def _deviations(diagnosis: Diagnosis) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations of the directions of all groups, the released ones first, and of parameters of effects."""
+    assert diagnosis.released is not None
     fit, released = diagnosis.selected.fit, diagnosis.released
-    model, robot, arm = diagnosis.dataset.model, diagnosis.dataset.robot, correction.arm
-    p, b = len(diagnosis.dataset.stored_covariance), len(model.independent)
-    change = fit.fitted()[0]
-    groups = [*released.groups]
-    groups += [group for group in groups_of(released.given) if (group.kind, group.joint) not in released.parts]
-    columns = np.hstack([group.directions for group in groups])
+    p = len(diagnosis.dataset.stored_covariance)
+    others = (group for group in groups_of(released.given) if (group.kind, group.joint) not in released.parts)
+    columns = np.hstack([group.directions for group in (*released.groups, *others)])
     count = columns.shape[1]
     spread = np.zeros((fit.size, count + fit.size - p))
     spread[:p, :count] = columns
@@ -55,52 +74,46 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     prior[count:, count:] = fit.prior[p:, p:]
     covariance = np.linalg.inv(spread.T @ information @ spread + prior)
     energy = np.nanmean((fit.held_out() / fit.sigma) ** 2)
-    deviation = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
-    result, at = [], 0
-    for group in released.groups:
-        joint, name = group.joint, robot.joint_names[group.joint]
-        own = slice(at, at + group.directions.shape[1])
-        at = own.stop
-        if group.kind in (GAIN, OFFSET, DELAY, OWN_DELAY) and (servos := diagnosis.dataset.servos) is not None:
-            if group.kind == GAIN:
-                value, size = servos.gains(change)[joint], group.scale[0]
-                result.append(_range(f"actuator of {name}", "kp", value, size * deviation[own][0], "N·m/rad"))
-            elif group.kind == OFFSET:
-                value, size = float(servos.offsets(change)[joint]), float(group.scale[0])
-                ends = _ends(value, size * deviation[own][0])
-                result.append(Range(f"actuator of {name}", FileNumbers.OFFSET, value, *ends, "rad"))
+    deviations = np.sqrt(np.diag(covariance) * max(1.0, float(energy)))
+    return deviations[:count], deviations[count:]
+
+
+def _of_servo(diagnosis: Diagnosis, change: np.ndarray, group: Group, deviation: float) -> Range:
+    """Gain, offset or delay of a servo, or the delay of all."""
+    servos, joint = diagnosis.dataset.servos, group.joint
+    assert servos is not None
+    assert diagnosis.released is not None
+    owner = "actuators" if joint < 0 else f"actuator of {diagnosis.dataset.robot.joint_names[joint]}"
+    if group.kind == GAIN:
+        return _range(owner, "kp", servos.gains(change)[joint], group.scale[0] * deviation, "N·m/rad")
+    if group.kind == OFFSET:
+        value = float(servos.offsets(change)[joint])
+        return Range(owner, FileNumbers.OFFSET, value, *_ends(value, float(group.scale[0]) * deviation), "rad")
+    delay = servos.file.delay.mean() if joint < 0 else servos.file.delay[joint]
+    value = delay + delay_of(diagnosis.released, change, group)
+    return _range(owner, "delay", value, servos.prior.delay * deviation, "s")
+
+
+def _of_arm(diagnosis: Diagnosis, arm: SimulatedArm, group: Group, deviations: np.ndarray) -> list[Range]:
+    """Friction and damping, or rotor, or mass of a joint or its body in a corrected arm."""
+    joint, model, robot = group.joint, diagnosis.dataset.model, diagnosis.dataset.robot
+    name, force, way = robot.joint_names[joint], robot.joints[joint].torque_unit, robot.joints[joint].position_unit
+    if group.kind == FileNumbers.FRICTION:
+        result, base = [], len(model.independent)
+        for column, k in enumerate(k for k, term in enumerate(model.terms) if term.axle == joint):
+            deviation = group.directions[base + k, column] * deviations[column]
+            if model.terms[k].form == "coulomb":
+                result.append(_range(f"joint {name}", "frictionloss", arm.frictionloss[joint], deviation, force))
             else:
-                owner, own_delay = ("actuators", slice(None)) if joint < 0 else (f"actuator of {name}", joint)
-                value = servos.file.delay[own_delay].mean() + delay_of(released, change, group)
-                result.append(_range(owner, "delay", value, servos.prior.delay * deviation[own][0], "s"))
-            continue
-        unit, way = robot.joints[joint].torque_unit, robot.joints[joint].position_unit
-        if group.kind == FileNumbers.FRICTION:
-            terms = [k for k, term in enumerate(model.terms) if term.axle == joint]
-            for column, k in enumerate(terms):
-                least = group.directions[b + k, column] * deviation[own][column]
-                if model.terms[k].form == "coulomb":
-                    result.append(_range(f"joint {name}", "frictionloss", arm.frictionloss[joint], least, unit))
-                else:
-                    result.append(_range(f"joint {name}", "damping", arm.damping[joint], least, f"{unit}·s/{way}"))
-        elif group.kind == "rotor inertia":
-            gear = robot.gear_ratios[joint] ** 2
-            mass = "kg" if robot.joints[joint].prismatic else "kg·m²"
-            least = gear * group.scale[0] * deviation[own][0]
-            result.append(_range(f"joint {name}", "armature", arm.armature[joint], least, mass))
-        else:
-            body = arm.carrying[joint]
-            owner = f"{'link' if arm.is_urdf else 'body'} {body.name or 'of ' + name}"
-            result.append(_range(owner, "mass", body.own[0], group.scale[0] * deviation[own][0], "kg"))
-    at = count
-    _, effects = fit.fitted()
-    for candidate, values in zip(fit.chosen, effects, strict=True):
-        own = slice(at, at + len(values))
-        at = own.stop
-        for name, value, least in zip(candidate.names, values, deviation[own], strict=True):
-            unit = _unit(candidate.effect.name, name, any(robot.joints[j].prismatic for j in candidate.joints))
-            result.append(Range(candidate.text(robot.joint_names), name, float(value), *_ends(value, least), unit))
-    return tuple(result)
+                result.append(_range(f"joint {name}", "damping", arm.damping[joint], deviation, f"{force}·s/{way}"))
+        return result
+    if group.kind == "rotor inertia":
+        mass = "kg" if robot.joints[joint].prismatic else "kg·m²"
+        deviation = robot.gear_ratios[joint] ** 2 * group.scale[0] * deviations[0]
+        return [_range(f"joint {name}", "armature", arm.armature[joint], deviation, mass)]
+    body = arm.carrying[joint]
+    owner = f"{'link' if arm.is_urdf else 'body'} {body.name or 'of ' + name}"
+    return [_range(owner, "mass", body.own[0], group.scale[0] * deviations[0], "kg")]
 
 
 def _unit(effect: str, parameter: str, slides: bool) -> str:

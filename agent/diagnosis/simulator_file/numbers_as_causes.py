@@ -19,7 +19,6 @@ from agent.diagnosis.simulator_file.parameter_groups import (
     GAIN,
     LINK,
     OFFSET,
-    OWN_DELAY,
     SPRING,
     Group,
     groups_of,
@@ -42,20 +41,17 @@ def causes_of_numbers(
     released: ReleasedSimulator,
     selected: SelectedCauses,
     gap: HeldOutGap,
-    doubtful: Collection[int] = (),
-    doubted: Collection[int] = (),
+    open_gains: Collection[int] = (),
+    joints_with_remainder: Collection[int] = (),
 ) -> tuple[Cause, ...]:
     """The released groups in the vocabulary of effects, what closes most first.
 
-    Of joints with `doubtful` gains, another gain is another friction; `doubted` ones have a remainder.
+    Of joints with `open_gains`, another gain is another friction.
     As of every cause, what it closes is what is lost when these numbers alone stay as the file has them and everything
     else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
     simulator as given.
     """
-    model, names = released.given.model, released.given.robot.joint_names
-    base, change = len(model.independent), released.moved.fit.change
-    probability = LAW.certain * min(gap.closure or 0.0, 1.0)
-    causes = list[Cause]()
+    names, probability = released.given.robot.joint_names, LAW.certain * min(gap.closure or 0.0, 1.0)
     like_load = (NamedEffect(_NAMES[FileNumbers.LOAD], ()),) if _may_be_load(released, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
@@ -63,58 +59,74 @@ def causes_of_numbers(
         # positions are linear about the fitted numbers: without its delay a command is further off than the arm goes
         return part if part is None or released.given.servos is None else min(part, 1.0)
 
-    bodies: list[Group] = []
-    for group in _groups_that_cause(released, selected.causes, gap, doubted):
-        joint = () if group.joint < 0 else (names[group.joint],)
-        if load := gained_parameters(released, group):
-            like_links = (NamedEffect(_NAMES[FileNumbers.LINKS], ()),)
-            own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(_NAMES[FileNumbers.LOAD], (), closes(group), probability, load, like_links, own_part))
-        elif group.kind == FileNumbers.FRICTION:
-            own = {term.form: float(change[base + k]) for k, term in enumerate(model.terms) if term.axle == group.joint}
-            parameters = {f"{form}_change": value for form, value in own.items()}
-            equal = (NamedEffect(_NAMES[GAIN], joint),) if group.joint in doubtful else ()
-            equal = (*equal, *(NamedEffect(name, joint) for name in likely_effects_on(released, selected, group)))
-            own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(
-                Cause(_NAMES[FileNumbers.FRICTION], joint, closes(group), probability, parameters, equal, own_part)
-            )
-        elif group.kind == GAIN and released.given.servos is not None:
-            servos, j = released.given.servos, group.joint
-            parameters = {"scale_error": float(servos.file.kp[j] / servos.gains(change)[j] - 1)}
-            equal = (
-                *like_load,
-                *((NamedEffect(_NAMES[FileNumbers.FRICTION], joint),) if group.joint in doubtful else ()),
-            )
-            own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(_NAMES[GAIN], joint, closes(group), probability, parameters, equal, own_part))
-        elif group.kind == OFFSET and released.given.servos is not None:
-            parameters = {"set_point_offset": float(released.given.servos.offsets(change)[group.joint])}
-            alike = _like_offset(released, selected.causes, group, gap)
-            own_part = _on_joint(released, group, selected.causes, gap)
-            causes.append(Cause(_NAMES[OFFSET], joint, closes(group), probability, parameters, alike, own_part))
-        elif group.kind == SPRING:
-            for spring in springs_as_effects(released.given, [group], change):
-                alike = tuple(NamedEffect(name, joint) for name in CATALOGUE[spring.effect].structurally_equivalent)
-                own_part = _on_joint(released, group, selected.causes, gap)
-                causes.append(
-                    Cause(spring.effect, joint, closes(group), probability, dict(spring.parameters), alike, own_part)
-                )
-        elif group.kind in (DELAY, OWN_DELAY):
-            own_part, delay = _on_joint(released, group, selected.causes, gap), delay_of(released, change, group)
-            causes.append(Cause(_NAMES[DELAY], joint, closes(group), probability, {"delay": delay}, (), own_part))
-        else:
+    causes, bodies = list[Cause](), list[Group]()
+    for group in _groups_that_cause(released, selected.causes, gap, joints_with_remainder):
+        if group.kind in (LINK, "rotor inertia") and not gained_parameters(released, group):
             bodies.append(group)
+            continue
+        joint = () if group.joint < 0 or group.moves_links else (names[group.joint],)
+        for effect, parameters in _as_effects(released, group):
+            equal = _in_its_stead(released, selected, gap, group, like_load, group.joint in open_gains)
+            own_part = _on_joint(released, group, selected.causes, gap)
+            causes.append(Cause(effect, joint, closes(group), probability, parameters, equal, own_part))
     if bodies:
-        known = np.abs(change[:base]) > LIMITS.deviations * model.standard_deviations[:base]
-        torque = (
-            change[:base] ** 2 * np.diagonal(released.given.fit.gram.sum(axis=0))[:base]
-        )  # what makes most is first
-        parameters = {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
         last = any(group.kind == LINK and group.joint == released.given.robot.load_link for group in bodies)
         as_load = (NamedEffect(_NAMES[FileNumbers.LOAD], ()),) if last and released.given.servos is not None else ()
+        parameters = _links(released)
         causes.append(Cause(_NAMES[FileNumbers.LINKS], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
+
+
+def _as_effects(released: ReleasedSimulator, group: Group) -> list[tuple[str, dict[str, float]]]:
+    """A group as an effect with its parameters; none of a spring that pushes."""
+    model, change, servos = released.given.model, released.moved.fit.change, released.given.servos
+    if group.moves_links:
+        return [(_NAMES[FileNumbers.LOAD], gained_parameters(released, group))]
+    if group.kind == FileNumbers.FRICTION:
+        own = [k for k, term in enumerate(model.terms) if term.axle == group.joint]
+        base = len(model.independent)
+        return [(_NAMES[FileNumbers.FRICTION], {f"{model.terms[k].form}_change": float(change[base + k]) for k in own})]
+    assert servos is not None
+    if group.kind == SPRING:
+        springs = springs_as_effects(released.given, [group], change)
+        return [(spring.effect, dict(spring.parameters)) for spring in springs]
+    if group.kind == GAIN:
+        scale = servos.file.kp[group.joint] / servos.gains(change)[group.joint]
+        return [(_NAMES[GAIN], {"scale_error": float(scale - 1)})]
+    if group.kind == OFFSET:
+        return [(_NAMES[OFFSET], {"set_point_offset": float(servos.offsets(change)[group.joint])})]
+    return [(_NAMES[DELAY], {"delay": delay_of(released, change, group)})]
+
+
+def _in_its_stead(
+    released: ReleasedSimulator,
+    selected: SelectedCauses,
+    gap: HeldOutGap,
+    group: Group,
+    like_load: tuple[NamedEffect, ...],
+    open_gain: bool,
+) -> tuple[NamedEffect, ...]:
+    """Effects that may be the cause instead of a group of which another gain is another friction (`open_gain`)."""
+    joint = (released.given.robot.joint_names[group.joint],)
+    if group.moves_links:
+        return (NamedEffect(_NAMES[FileNumbers.LINKS], ()),)
+    if group.kind == FileNumbers.FRICTION:
+        names = [*([_NAMES[GAIN]] if open_gain else []), *likely_effects_on(released, selected, group)]
+        return tuple(NamedEffect(name, joint) for name in names)
+    if group.kind == GAIN:
+        return (*like_load, *([NamedEffect(_NAMES[FileNumbers.FRICTION], joint)] if open_gain else []))
+    if group.kind == SPRING:
+        return tuple(NamedEffect(name, joint) for name in CATALOGUE[_NAMES[SPRING]].structurally_equivalent)
+    return _like_offset(released, selected.causes, group, gap) if group.kind == OFFSET else ()
+
+
+def _links(released: ReleasedSimulator) -> dict[str, float]:
+    """Changes of base parameters by more than chance, what makes most of the torque first."""
+    model, base = released.given.model, len(released.given.model.independent)
+    change = released.moved.fit.change[:base]
+    known = np.abs(change) > LIMITS.deviations * model.standard_deviations[:base]
+    torque = change**2 * np.diagonal(released.given.fit.gram.sum(axis=0))[:base]
+    return {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
 
 
 def springs_as_effects(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> list[ModelEffect]:
@@ -134,24 +146,24 @@ def springs_as_effects(dataset: Dataset, groups: Sequence[Group], change: np.nda
 
 
 def _groups_that_cause(
-    released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap, doubted: Collection[int]
+    released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap, joints_with_remainder: Collection[int]
 ) -> list[Group]:
     """The released groups that may be a cause: all where torque is judged.
 
     Not numbers of a joint without which, taken back one after the other, it errs no more than a right file does, nor of
-    `doubted` joints, which have a remainder, nor a delay or links without which no joint errs more, or that close most
-    on a doubted one.
+    `joints_with_remainder`, nor a delay or links without which no joint errs more, or that close most
+    on such a one.
     """
     if released.given.servos is None:
         return list(released.groups)
-    fit, kept = released.given.fit, list[Group]()
+    fit, causing = released.given.fit, list[Group]()
     late = [group for group in released.groups if group.kind == DELAY]
     for of_arm in filter(None, (late, [group for group in released.groups if group.moves_links])):
         without = rms(gap.beyond(_without(released, of_arm, causes)))
         closed = (without**2 - gap.rmse_after**2) / fit.sigma.min(axis=0) ** 2
-        if fit.beyond_usual(without).any() and int(np.argmax(closed)) not in doubted:
-            kept += of_arm
-    for joint in sorted(set(range(len(fit.rows))) - set(doubted)):
+        if fit.beyond_usual(without).any() and int(np.argmax(closed)) not in joints_with_remainder:
+            causing += of_arm
+    for joint in sorted(set(range(len(fit.rows))) - set(joints_with_remainder)):
         own = [group for group in released.groups if group.joint == joint and not group.moves_links]
         spared: list[Group] = []
         while own:  # of numbers that stand in for each other one has to be wrong, not all
@@ -160,13 +172,13 @@ def _groups_that_cause(
             if fit.beyond_usual(errors[least])[joint]:
                 break
             spared.append(own.pop(least))
-        kept += own
-    return [group for group in released.groups if any(group is other for other in kept)]
+        causing += own
+    return [group for group in released.groups if any(group is other for other in causing)]
 
 
 def _without(released: ReleasedSimulator, groups: Sequence[Group], causes: Sequence[Candidate]) -> np.ndarray:
     """(S', n) held-out error where some groups stay as the file has them, and everything else is fitted again."""
-    others = [group for group in released.groups if not any(group is kept for kept in groups)]
+    others = [group for group in released.groups if not any(group is left_out for left_out in groups)]
     fit = released_fit(released.given, others).with_chosen(causes)
     return fit.held_out()
 
