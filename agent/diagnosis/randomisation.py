@@ -16,7 +16,8 @@ import numpy as np
 
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, OWN_DELAY, Group, groups_of
+from agent.diagnosis.simulator_file.numbers_as_causes import springs_as_effects
+from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, OWN_DELAY, SPRING, Group, groups_of
 from agent.diagnosis.simulator_file.released_numbers import delay_of
 from agent.diagnosis.sizes import unit_of
 from agent.model import FileNumbers
@@ -47,6 +48,11 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
         own, of_groups = np.split(of_groups, [group.directions.shape[1]])
         if group.kind in (GAIN, OFFSET, DELAY, OWN_DELAY):
             result.append(_of_servo(diagnosis, change, group, float(own[0])))
+        elif group.kind == SPRING:
+            for spring in springs_as_effects(diagnosis.dataset, [group], change):
+                owner, size = f"{spring.effect} of {', '.join(spring.joints)}", float(group.scale[0] * own[0])
+                unit = _unit(spring.effect, "stiffness", diagnosis.dataset.robot.joints[group.joint].prismatic)
+                result.append(_range(owner, "stiffness", spring.parameters["stiffness"], size, unit))
         else:
             result += _of_arm(diagnosis, correction.arm, group, own)
     for candidate, values in zip(fit.chosen, effects, strict=True):
