@@ -143,14 +143,14 @@ def held_out_errors(diagnosis: Diagnosis, simulator: Simulator) -> tuple[np.ndar
     reverses at once. What the fit gains and these lose is no gain.
     """
     fit, dataset = diagnosis.selected.fit, diagnosis.dataset
-    given, remaining = diagnosis.gap.error_before, np.full(diagnosis.gap.error_before.shape, np.nan)
+    before, remaining = diagnosis.gap.error_before, np.full(diagnosis.gap.error_before.shape, np.nan)
     as_given = _predicted(fit, simulator.model)
     for number, fold in enumerate(fit.folds):
         rows = np.isin(fit.cell, np.flatnonzero(fold.test))
         fixed = _predicted(fit, corrected_numbers(diagnosis, simulator, number).model)
         remaining[rows] = (dataset.residual + as_given - fixed)[rows]
-    remaining = np.where(np.isnan(given), np.nan, remaining)
-    return rms(given), rms(diagnosis.gap.beyond(remaining))
+    remaining = np.where(np.isnan(before), np.nan, remaining)
+    return rms(before), rms(diagnosis.gap.beyond(remaining))
 
 
 def _predicted(fit: Fit, model: IdentifiedModel) -> np.ndarray:

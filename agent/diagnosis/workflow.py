@@ -75,7 +75,7 @@ def diagnose(
     if simulator is not None and without_torque(simulator, logs):
         positions = search_positions(simulator, logs, without, progress, known_kp)
         one_motion = (_ONE_MOTION,) if len(logs) == 1 else ()
-        warnings = (*repeated, *positions.said, *_path_warnings(motion), *one_motion)
+        warnings = (*repeated, *positions.warnings, *_path_warnings(motion), *one_motion)
         return build(positions.explanation, _verdict(positions.explanation, motion), motion, warnings)
     if model is not None and model.method == SIMULATOR:
         explanation = search_simulator(robot, model, logs, cutoff, without, progress)

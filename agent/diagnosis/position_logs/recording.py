@@ -47,14 +47,14 @@ class CommandedStretch:
     @cached_property
     def command(self) -> RecordedCommand:
         """The command as it was sent."""
-        near = np.clip(self.wanted.set_points, self.position - self.nearest, self.position + self.nearest)
-        return replace(self.wanted, set_points=near)
+        clipped = np.clip(self.wanted.set_points, self.position - self.nearest, self.position + self.nearest)
+        return replace(self.wanted, set_points=clipped)
 
     @cached_property
     def cut_change(self) -> RecordedCommand:
         """Change of the command that was sent with `nearest`."""
-        away = self.wanted.set_points - self.position
-        return replace(self.wanted, set_points=np.where(np.abs(away) > self.nearest, np.sign(away), 0.0))
+        lag = self.wanted.set_points - self.position
+        return replace(self.wanted, set_points=np.where(np.abs(lag) > self.nearest, np.sign(lag), 0.0))
 
     @property
     def judged(self) -> slice:
@@ -95,14 +95,14 @@ class CommandedStretch:
             for name in ("q", "qd", "qdd", "torque", "stuck", "limited")
         }
         command = self.command.between(_around(time), numbers.delay)
-        there = FreeMotion(
+        grid_motion = FreeMotion(
             time, on["q"], on["qd"], on["qdd"], on["torque"], command, on["stuck"] > 0.5, on["limited"] > 0.5
         )
-        state = (time, there.q, there.qd, there.qdd)
+        state = (time, grid_motion.q, grid_motion.qd, grid_motion.qdd)
         kept = slice(self.unsettled * every, None, every)
         signals = MotionSignals(reference, *state, self.log_index, kept)
-        response = LinearResponse.along(signals, there, numbers, simulator.servos.damping, simulator.creep)
-        return LinearisedMotion(self, there, signals, response, numbers, simulator.servos)
+        response = LinearResponse.along(signals, grid_motion, numbers, simulator.servos.damping, simulator.creep)
+        return LinearisedMotion(self, grid_motion, signals, response, numbers, simulator.servos)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +158,7 @@ class LinearisedMotion:
         servo = np.array([kp, damping_of_servo, viscous, friction, armature, *limits])
         substeps = max(2, int(np.ceil(np.median(np.diff(m.time)) / _LATER)))
         damper = 2 * damping * np.sqrt(stiffness * mass.mean())
-        both = servo_through_play(
+        responses = servo_through_play(
             np.stack([torque, load, speed, mass, slope, pulls]),
             servo,
             np.concatenate([stiffness, stiffness]),
@@ -167,7 +167,7 @@ class LinearisedMotion:
             float(np.median(np.diff(m.time))) / substeps,
             substeps,
         )
-        with_play, without = np.split(both, 2)
+        with_play, without = np.split(responses, 2)
         return np.asarray((with_play - without).T[signals.kept])
 
     @property
@@ -209,8 +209,8 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
                 continue
             t, q = log.t[rows], log.position[rows]
             steps = np.array([rounding_step(column) for column in q.T])
-            more = np.abs(q[1] - q[0]) > 1.5 * steps  # derived: half way between one step of rounding and two
-            speed = np.where(more, q[1] - q[0], 0.0) / (t[1] - t[0])
+            moves = np.abs(q[1] - q[0]) > 1.5 * steps  # derived: half way between one step of rounding and two
+            speed = np.where(moves, q[1] - q[0], 0.0) / (t[1] - t[0])
             command, begins = RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed])
             stretch = CommandedStretch(index, t, q, command, begins, int(np.searchsorted(t, t[0] + settling)))
             if len(t) - stretch.unsettled >= LIMITS.fewest * stretch.frames:
@@ -241,11 +241,11 @@ def _set_points(log: Log) -> np.ndarray:
             f"{log.path}: the set-points of {', '.join(names[copied])} are the measured positions themselves, so they "
             "say nothing about the servo: record what was commanded"
         )
-    away = np.median(np.abs(r - q)[known], axis=0)
-    if np.any(away > _FAR):
-        k = int(np.argmax(away))
+    lag = np.median(np.abs(r - q)[known], axis=0)
+    if np.any(lag > _FAR):
+        k = int(np.argmax(lag))
         raise InputError(
-            f"{log.path}: {names[k]} is {away[k]:.3g} rad or m from its set-points in the middle: they are of another "
+            f"{log.path}: {names[k]} is {lag[k]:.3g} rad or m from its set-points in the middle: they are of another "
             "unit, zero or arm than its positions"
         )
     return r

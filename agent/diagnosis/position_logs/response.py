@@ -79,8 +79,8 @@ class LinearResponse:
         width = next(iter(columns.values())).shape[1]
         parts = []
         for first in range(0, width, _AT_ONCE):
-            some = {j: block[:, first : first + _AT_ONCE] for j, block in columns.items()}
-            parts.append(self._stepped(some))
+            chunk = {j: block[:, first : first + _AT_ONCE] for j, block in columns.items()}
+            parts.append(self._stepped(chunk))
         return np.concatenate(parts, axis=2)
 
     def _stepped(self, columns: Mapping[int, np.ndarray]) -> np.ndarray:

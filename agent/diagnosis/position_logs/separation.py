@@ -76,25 +76,26 @@ class _Side:
 
 
 def separations(
-    found: Diagnosis, simulator: Simulator, motions: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    diagnosis: Diagnosis, simulator: Simulator, motions: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> list[Separation]:
     """What each motion, times (S,) [s] and set-points (S, n), would tell of the pairs that are open.
 
     Args:
-        found: diagnosis of position logs.
+        diagnosis: diagnosis of position logs.
         simulator: the file as given.
         motions: by name: times (S,) [s] and set-points (S, n) [rad or m].
     """
-    pairs = list(_pairs(found))
-    lines = {name: _line(found, simulator, *motion) for name, motion in motions.items()} if pairs else {}
+    pairs = list(_pairs(diagnosis))
+    lines = {name: _line(diagnosis, simulator, *motion) for name, motion in motions.items()} if pairs else {}
     result = []
     for first, second in pairs:
         forms = [side.form for side in (first, second) if side.form is not None]
-        old = _of_logs(found, forms)
+        old = _of_logs(diagnosis, forms)
         right = {
-            name: _right(found, first, second, old + _of_motion(found, *line, forms)) for name, line in lines.items()
+            name: _right(diagnosis, first, second, old + _of_motion(diagnosis, *line, forms))
+            for name, line in lines.items()
         }
-        before = _right(found, first, second, old)
+        before = _right(diagnosis, first, second, old)
         result.append(Separation(first.text, second.text, (first.effect, second.effect), before, right))
     return result
 
@@ -176,11 +177,11 @@ def _of_motion(
     signals = replace(line.signals, through_play=line.through_play)
     for form in forms:
         form.effect.prepare([signals], [(form.joints, form.settings)])
-        if (shown := form.effect.in_positions(signals, form.joints, form.settings)) is None:
+        if (responses := form.effect.in_positions(signals, form.joints, form.settings)) is None:
             columns.append(line.response.of_torque(form.effect.columns(signals, form.joints, form.settings)))
         else:
             moved = np.zeros((*columns[0].shape[:2], len(form.names)))
-            for joint, block in shown.items():
+            for joint, block in responses.items():
                 moved[:, joint] = block
             columns.append(moved)
     rows = np.concatenate(columns, axis=2) / diagnosis.dataset.fit.sigma.min(axis=0)[:, None]

@@ -62,10 +62,10 @@ def numbers_by_equation(
         error = float(np.sum(np.log([max(norm, np.finfo(float).tiny) for _, norm in solved])))
         if error < best:
             ratios = np.array([values for values, _ in solved])
-            told = ratios[:, 0] > 0
-            kp = np.where(told, 1 / np.where(told, ratios[:, 0], 1.0), file.kp)
+            determined = ratios[:, 0] > 0
+            kp = np.where(determined, 1 / np.where(determined, ratios[:, 0], 1.0), file.kp)
             damping, friction = (
-                np.where(told, ratios[:, k] * kp, own) for k, own in ((1, file.damping), (2, file.friction))
+                np.where(determined, ratios[:, k] * kp, own) for k, own in ((1, file.damping), (2, file.friction))
             )
             best = error
             numbers = replace(file, damping=damping, friction=friction, kp=kp, delay=np.full(n, delay))

@@ -44,10 +44,10 @@ _REVERSALS = 2  # derived: load and friction of a joint that turns back once are
 
 @dataclass(frozen=True, eq=False)
 class PositionExplanation:
-    """An explanation of position logs, and what is to be said."""
+    """An explanation of position logs, and its warnings."""
 
     explanation: Explanation
-    said: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def without_torque(simulator: Simulator, logs: Sequence[Log]) -> bool:
@@ -95,8 +95,9 @@ def search_positions(
     progress("running the simulator under the recorded command")
     fit, how, later = _fitted(free, reference, logs, progress, known_kp)
     dataset = assemble_positions(fit, simulator, logs, known_kp, later)
-    said = [*_about(fit, how, later, simulator.arm.impedance), *_turns(dataset.fit.signals, simulator.arm.joint_names)]
-    return PositionExplanation(explain_rows(dataset, without, progress), tuple(said))
+    turns = _turns(dataset.fit.signals, simulator.arm.joint_names)
+    warnings = (*_about(fit, how, later, simulator.arm.impedance), *turns)
+    return PositionExplanation(explain_rows(dataset, without, progress), warnings)
 
 
 def _fitted(
@@ -113,12 +114,12 @@ def _fitted(
     lag of its own smooths held commands, and an effect on a joint prefers either way. Friction is as soft as the
     file's, or holds a stationary joint where that does better beyond chance.
     """
-    told = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
-    ways = sorted(told) if len(told) == 1 else [HELD, SMOOTH]
+    recorded_holds = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
+    ways = sorted(recorded_holds) if len(recorded_holds) == 1 else [HELD, SMOOTH]
     file = free.numbers
     # of a start that fades with e^(-t / T), what counts as nothing is left
-    lasting = -float(np.log(LIMITS.negligible)) * float(np.max(file.damping / np.maximum(file.kp, 1e-9)))
-    settling = min(lasting, min(log.t[-1] - log.t[0] for log in logs) / LIMITS.blocks)
+    transient_time = -float(np.log(LIMITS.negligible)) * float(np.max(file.damping / np.maximum(file.kp, 1e-9)))
+    settling = min(transient_time, min(log.t[-1] - log.t[0] for log in logs) / LIMITS.blocks)
     stretches = stretches_of(logs, ways[0] == HELD, settling)
     by_equation = numbers_by_equation(reference, file, stretches)
     free = free_of_contacts(free, (file, by_equation), stretches)
@@ -257,8 +258,8 @@ def _nearest_cut(stretches: Sequence[CommandedStretch]) -> float:
 
 def _gains(fit: OutputErrorFit, other: OutputErrorFit) -> np.ndarray:
     """(n,) log-likelihood that another fit gains on each joint, where the joint's error is unknown."""
-    lasting = sum(float(stretch.time[-1] - stretch.time[0]) for stretch in fit.stretches)
-    return np.asarray(lasting / LIMITS.row_correlation_time * (np.log(fit.rmse) - np.log(other.rmse)))
+    duration = sum(float(stretch.time[-1] - stretch.time[0]) for stretch in fit.stretches)
+    return np.asarray(duration / LIMITS.row_correlation_time * (np.log(fit.rmse) - np.log(other.rmse)))
 
 
 def _by_chance(count: int) -> float:
@@ -272,38 +273,38 @@ def _frame(stretches: Sequence[CommandedStretch]) -> float:
 
 def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -> list[str]:
     name = fit.simulator.arm.path.name
-    said = [
+    warnings = [
         f"no torque was measured: {name} runs under the recorded command, and its motion is compared with the measured "
         "one. kv and damping of a joint are one number there"
     ]
     if how:
         words = {HELD: "held from frame to frame", SMOOTH: "smooth between frames"}
         other, change = words[SMOOTH if how == HELD else HELD], "more" if later > 0 else "less"
-        said.append(
+        warnings.append(
             f"neither logs nor motion tell how the command was held: it is taken as {words[how]}; if it was {other}, "
             f"the delay is {1e3 * abs(later):.3g} ms {change}"
         )
     if (nearest := fit.stretches[0].nearest) < np.inf:
-        said.append(
+        warnings.append(
             f"commands were cut to within {nearest:.3g} rad or m of the positions on their way, as a recorder with "
             "max_relative_target does, or servos whose torque ends there; the logs have what was wanted"
         )
     if pairs := fit.simulator.arm.excluded:
-        said.append(
+        warnings.append(
             f"bodies of {name} reach into each other where the arm was recorded ({_listed(pairs)}): it is simulated "
             "without these contacts (exclude in a corrected file)"
         )
     if np.any(fit.simulator.arm.impedance > impedance):
-        said.append(
+        warnings.append(
             f"friction of {name} is soft, as MuJoCo's is by default: it lets a stationary joint creep. The arm's "
             "holds, and is simulated so (solimpfriction of a corrected file)"
         )
     if lost := lost_frames(fit.stretches, fit.residuals):
-        said.append(
+        warnings.append(
             f"the lag behind the command jumps by about a frame at {lost} places: frames were lost there, or stamps "
             "are made from frame numbers; record real stamps"
         )
-    return said
+    return warnings
 
 
 def _listed(pairs: Sequence[tuple[str, str]]) -> str:
@@ -311,10 +312,7 @@ def _listed(pairs: Sequence[tuple[str, str]]) -> str:
 
 
 def _turns(signals: Sequence[MotionSignals], names: Sequence[str]) -> list[str]:
-    seen = MotionCoverage.of(signals)
-    few = [name for name, count in zip(names, seen.reversals, strict=True) if count < _REVERSALS]
-    return (
-        [f"{', '.join(few)} turn back less than {_REVERSALS} times, so that their friction and gain cannot be told"]
-        if few
-        else []
-    )
+    reversals = MotionCoverage.of(signals).reversals
+    steady = ", ".join(name for name, count in zip(names, reversals, strict=True) if count < _REVERSALS)
+    warning = f"{steady} turn back less than {_REVERSALS} times, so that their friction and gain cannot be told"
+    return [warning] if steady else []

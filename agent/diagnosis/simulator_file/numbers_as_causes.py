@@ -133,15 +133,15 @@ def springs_as_effects(dataset: Dataset, groups: Sequence[Group], change: np.nda
     """Springs of groups, by which a change (p,) differs from the file, as effects; of one that pushes none."""
     if (servos := dataset.servos) is None:
         return []
-    more, names = change[servos.layout.stiffness], dataset.robot.joint_names
+    stiffer, names = change[servos.layout.stiffness], dataset.robot.joint_names
     return [
         ModelEffect(
             _NAMES[SPRING],
             (names[j],),
-            {"constant": float(-more[j] * servos.simulation.arm.rest[j]), "stiffness": float(more[j])},
+            {"constant": float(-stiffer[j] * servos.simulation.arm.rest[j]), "stiffness": float(stiffer[j])},
         )
         for j in (group.joint for group in groups if group.kind == SPRING)
-        if more[j] > 0
+        if stiffer[j] > 0
     ]
 
 

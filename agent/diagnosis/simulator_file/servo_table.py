@@ -36,19 +36,19 @@ _OF_GAIN = ("kp", *_RATIOS)
 _GAIN, _SCALES = KINDS.index("kp"), np.isin(KINDS, _OF_GAIN)[:, None]
 
 
-def doubtful_gains(found: Explanation) -> tuple[int, ...]:
+def doubtful_gains(explanation: Explanation) -> tuple[int, ...]:
     """Joints whose servo gain positions do not tell: another gain is another friction, damping and rotor together.
 
     Everything over kp shows; known masses under gravity set its scale, and where they are weak, the model's own error
     does. Gains that the interval allows have to be alike. None where torque is judged.
     """
-    if found.dataset.servos is None:
+    if explanation.dataset.servos is None:
         return ()
-    values, low, high = _intervals(found)
+    values, low, high = _intervals(explanation)
     return tuple(np.flatnonzero(high.kp - low.kp > 2 * LIMITS.least_share * values.kp).tolist())
 
 
-def servo_table(found: Explanation) -> dict[str, Any]:
+def servo_table(explanation: Explanation) -> dict[str, Any]:
     """`servo` and `scale_from` of a result: value, low and high of each number and joint; None where a class is known.
 
     The interval is the wider of the posterior's with all drives free, and of what leaving motions out, and halves of
@@ -60,11 +60,11 @@ def servo_table(found: Explanation) -> dict[str, Any]:
     A simulation in steps of h does not tell more: a command arrives within ± h / 2, and damping d is worth ± h d / 2 of
     inertia, by whether it is implicit or explicit in it.
     """
-    dataset, names = found.dataset, found.dataset.robot.joint_names
+    dataset, names = explanation.dataset, explanation.dataset.robot.joint_names
     servos = dataset.servos
     assert servos is not None
-    doubtful = doubtful_gains(found)
-    values, low, high = _intervals(found)
+    doubtful = doubtful_gains(explanation)
+    values, low, high = _intervals(explanation)
     of_step = 0.5 * servos.simulation.step * values.damping
     low, high = replace(low, armature=low.armature - of_step), replace(high, armature=high.armature + of_step)
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
@@ -73,13 +73,13 @@ def servo_table(found: Explanation) -> dict[str, Any]:
         ends = np.stack([getattr(numbers, kind) for numbers in (values, low, high)], axis=1)
         table[key] = tuple(None if k in unknown else _possible(kind, *ends[k]) for k in range(len(names)))
     scale = "kp" if servos.prior.kp_known else "none" if len(doubtful) == len(names) else "gravity"
-    told: dict[str, Any] = {"servo": table, "scale_from": scale}
+    document: dict[str, Any] = {"servo": table, "scale_from": scale}
     if doubtful:
-        ratios = np.stack([numbers.table for numbers in _intervals(found, over_gain=True)], axis=2)
-        told["servo_over_kp"] = {
+        ratios = np.stack([numbers.table for numbers in _intervals(explanation, over_gain=True)], axis=2)
+        document["servo_over_kp"] = {
             kind: tuple(_possible(kind, *row) for row in ratios[KINDS.index(kind)]) for kind in _RATIOS
         }
-    return told
+    return document
 
 
 def _possible(kind: str, value: float, low: float, high: float) -> tuple[float, float, float]:
@@ -129,23 +129,23 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[Servo
     return ServoNumbers.of_table(values), ServoNumbers.of_table(low), ServoNumbers.of_table(high)
 
 
-def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]:
+def differing_causes(explanation: Explanation, causes: Sequence[Cause]) -> list[Cause]:
     """The causes but gains, frictions and delays all of whose intervals hold the file's own numbers.
 
     A number may differ by what a right file is expected to leave, `LIMITS.least_error` of its joint's torque. Where
     positions do not tell the gain, ratios to it are compared: another gain is another friction, damping and rotor.
     """
-    dataset, names = found.dataset, found.dataset.robot.joint_names
+    dataset, names = explanation.dataset, explanation.dataset.robot.joint_names
     assert dataset.servos is not None
-    doubtful, file = doubtful_gains(found), dataset.servos.file.table
+    doubtful, file = doubtful_gains(explanation), dataset.servos.file.table
     usual = LIMITS.least_error * _whole_torque(dataset)
 
     def holds(form: Callable[[np.ndarray], np.ndarray], over_gain: bool) -> np.ndarray:
-        _, low, high = (numbers.table for numbers in _intervals(found, over_gain))
-        more = np.abs(form(file + usual) - form(file))
-        return np.asarray((low - more <= form(file)) & (form(file) <= high + more))
+        _, low, high = (numbers.table for numbers in _intervals(explanation, over_gain))
+        allowed = np.abs(form(file + usual) - form(file))
+        return np.asarray((low - allowed <= form(file)) & (form(file) <= high + allowed))
 
-    told, as_ratio = holds(np.asarray, over_gain=False), holds(_over_gain, over_gain=True)
+    agree, ratios_agree = holds(np.asarray, over_gain=False), holds(_over_gain, over_gain=True)
 
     def differs(cause: Cause) -> bool:
         numbers = CATALOGUE[cause.effect].numbers
@@ -153,7 +153,7 @@ def differing_causes(found: Explanation, causes: Sequence[Cause]) -> list[Cause]
         known = []
         for joint in map(names.index, cause.joints or names):
             open_gain = joint in doubtful
-            holding = (as_ratio if open_gain else told)[:, joint]
+            holding = (ratios_agree if open_gain else agree)[:, joint]
             of_joint = _RATIOS if open_gain and numbers == GAIN else kinds
             known += [bool(holding[KINDS.index(kind)]) for kind in of_joint]
         return not known or not all(known)
@@ -191,8 +191,8 @@ def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray)
         if group.kind == "rotor inertia":
             moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
         at += group.directions.shape[1]
-    more = {kind: change[place] for kind, place in servos.layout.of_numbers.items()}
-    return ServoNumbers.of_table(servos.file.table + ServoNumbers(moved, **more).table)
+    moved_by_kind = {kind: change[place] for kind, place in servos.layout.of_numbers.items()}
+    return ServoNumbers.of_table(servos.file.table + ServoNumbers(moved, **moved_by_kind).table)
 
 
 def _deviations(
