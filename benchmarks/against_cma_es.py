@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.diagnosis.position_logs.fitting import OutputErrorProblem, Parameters, fit_output_error, missed, usual_scale
-from agent.diagnosis.position_logs.recording import CommandedStretch, stretches_of
+from agent.diagnosis.position_logs.stretch import CommandedStretch, stretches_of
 from agent.model import NominalModel
 from agent.recording import read_recording
 from agent.simulators import FreeSimulator, ServoNumbers, load_arm, load_simulator

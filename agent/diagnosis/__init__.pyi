@@ -29,8 +29,8 @@ from .labels import (
     testable_counts as testable_counts,
 )
 from .limits import LIMITS as LIMITS
+from .position_logs.search import without_torque as without_torque
 from .position_logs.separation import separations as separations
-from .position_logs.workflow import without_torque as without_torque
 from .randomisation import Range as Range, ranges as ranges, ranges_text as ranges_text
 from .rows.candidate import Candidate as Candidate, EffectKey as EffectKey
 from .rows.dataset import Dataset as Dataset

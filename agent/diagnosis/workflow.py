@@ -18,7 +18,7 @@ from agent.diagnosis.hypotheses.healthy import healthy_on
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.testability import effects_of_path
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.workflow import search_positions, without_torque
+from agent.diagnosis.position_logs.search import search_positions, without_torque
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, search_simulator
 from agent.diagnosis.simulator_file.numbers_as_causes import causes_of_numbers

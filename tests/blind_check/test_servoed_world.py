@@ -13,7 +13,7 @@ from agent.blind_check.key import Key
 from agent.blind_check.scoring import results_of, score
 from agent.blind_check.worlds import ServoedWorld
 from agent.diagnosis.position_logs.fitting import missed
-from agent.diagnosis.position_logs.recording import stretches_of
+from agent.diagnosis.position_logs.stretch import stretches_of
 from agent.model import CATALOGUE
 from agent.recording import read_recording
 from agent.simulators import FreeSimulator, load_arm, load_simulator

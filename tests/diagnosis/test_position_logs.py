@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from agent.cli.app import app
 from agent.core import InputError
 from agent.diagnosis import corrected_numbers, diagnose, ranges
-from agent.diagnosis.position_logs.recording import stretches_of
+from agent.diagnosis.position_logs.stretch import stretches_of
 from agent.model import NominalModel
 from agent.recording import HOLD, Log, write_log
 from agent.simulators import FreeSimulator, RecordedCommand, ServoNumbers, load_simulator, write_corrected

@@ -10,7 +10,7 @@ import pytest
 from agent.diagnosis import diagnose, diagnosis
 from agent.diagnosis.gap import adequacy
 from agent.diagnosis.hypotheses.law import LAW
-from agent.diagnosis.position_logs import recording
+from agent.diagnosis.position_logs import stretch
 from agent.model import CATALOGUE
 from agent.model.effects import payload, stribeck
 from benchmarks import sensitivity
@@ -108,9 +108,9 @@ def test_a_number_is_varied_wherever_it_stands_and_put_back():
     with sensitivity.changed(numbers()["model/effects/effect: SLIDES"], 2.0):
         assert CATALOGUE["stribeck"].needs_travel == CATALOGUE["stribeck"].needs_speed == 2 * 0.02
     assert stribeck.Stribeck.needs_travel == 0.02
-    with sensitivity.changed(numbers()["diagnosis/position_logs/recording: stretches_of.1.5"], 0.5):
-        assert 1.25 in recording.stretches_of.__code__.co_consts
-    assert 1.25 not in recording.stretches_of.__code__.co_consts
+    with sensitivity.changed(numbers()["diagnosis/position_logs/stretch: stretches_of.1.5"], 0.5):
+        assert 1.25 in stretch.stretches_of.__code__.co_consts
+    assert 1.25 not in stretch.stretches_of.__code__.co_consts
     finest = CATALOGUE["backlash"].grid[0]
     with sensitivity.changed(numbers()["model/effects/backlash: _GAPS"], 2.0):
         assert CATALOGUE["backlash"].grid[0][-1] == 2 * finest[-1]

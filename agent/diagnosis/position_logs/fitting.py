@@ -18,7 +18,7 @@ import numpy as np
 
 from agent.core import InputError
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
+from agent.diagnosis.position_logs.stretch import CommandedStretch, LinearisedMotion
 from agent.diagnosis.rows.rounding import UNIFORM, rounding_step
 from agent.model import NominalModel, RigidFrictionModel, ball
 from agent.robot import ParameterLayout

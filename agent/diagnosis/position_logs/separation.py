@@ -19,8 +19,8 @@ from scipy.special import ndtr
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.position_logs.recording import CommandedStretch, LinearisedMotion
-from agent.diagnosis.position_logs.rows import model_columns
+from agent.diagnosis.position_logs.linear_rows import model_columns
+from agent.diagnosis.position_logs.stretch import CommandedStretch, LinearisedMotion
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.simulator_file.parameter_groups import (
     DELAY,

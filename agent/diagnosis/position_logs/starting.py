@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from agent.diagnosis.position_logs.fitting import LONGEST_DELAY, missed
-from agent.diagnosis.position_logs.recording import CommandedStretch
+from agent.diagnosis.position_logs.stretch import CommandedStretch
 from agent.model import NominalModel
 from agent.robot import Dynamics
 from agent.simulators import FreeSimulator, ServoNumbers

@@ -28,7 +28,7 @@ from agent.diagnosis.position_logs.fitting import (
     usual_twist,
     with_link,
 )
-from agent.diagnosis.position_logs.recording import LinearisedMotion
+from agent.diagnosis.position_logs.stretch import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, precision_of
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of, segments_of

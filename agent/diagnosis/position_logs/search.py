@@ -1,7 +1,7 @@
 """Entry point for logs of positions and commands: the servos' numbers, then the same law of evidence as with torque.
 
 1. The simulator runs under the recorded command; its servo numbers and the delay are fitted (`fitting`).
-2. What that leaves, and how every number and effect would move the arm, are rows (`rows`).
+2. What that leaves, and how every number and effect would move the arm, are rows (`linear_rows`).
 3. Numbers go back to the file's where that loses nothing, effects are searched, and a verdict is given, as with torque.
 """
 
@@ -28,9 +28,9 @@ from agent.diagnosis.position_logs.fitting import (
     usual_scale,
     widest_lag,
 )
-from agent.diagnosis.position_logs.recording import CommandedStretch, lost_frames, stretches_of
-from agent.diagnosis.position_logs.rows import assemble_positions
+from agent.diagnosis.position_logs.linear_rows import assemble_positions
 from agent.diagnosis.position_logs.starting import error_of, free_of_contacts, numbers_by_equation
+from agent.diagnosis.position_logs.stretch import CommandedStretch, lost_frames, stretches_of
 from agent.diagnosis.rows.needs import MotionCoverage
 from agent.diagnosis.simulator_file.explanation import Explanation, explain_rows
 from agent.model import MotionSignals, NominalModel
