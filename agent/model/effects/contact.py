@@ -24,7 +24,6 @@ _EDGE = _EDGES[1]  # usual
 _LINKS = 3  # numerical: links tried for the case that all pushes act on one link
 _DURATIONS = np.geomspace(0.2, 12.0, 14).tolist()  # s
 _STARTS = 0.05  # numerical: s between starts of windows
-_MOST_OF_LOG = 0.8  # largest share of its log that a push takes: a longer one is no event
 _USUAL, _STANDS_OUT = 0.9, 3.0  # quantile of windows as long; factor above it, and above other cycles'
 _SHARP = 30.0  # the same factor for one with no quiet time before it, or that repeats with the cycle next to another
 _BORDER = _DURATIONS[0]  # s: what is nearer than the shortest push is as good as the same moment
@@ -245,7 +244,7 @@ class Windows:
         time = signals.time[signals.kept]
         sums = _Sums(time, gram, side, inverses)
         for duration in _DURATIONS:
-            if duration > _MOST_OF_LOG * (time[-1] - time[0]):
+            if duration > time[-1] - time[0]:
                 return
             starts, gain, force = sums.every_force(duration)
             yield cls(link, signals.log_index, duration, starts, gain, force, signals.cycle_starts, sums)
@@ -289,7 +288,6 @@ class Windows:
         starts, ends = (part.ravel() for part in np.meshgrid(push.start + moved, push.start + push.duration + moved))
         free = (starts >= self.starts[0] + (0 if self.bare(push) else _BORDER)) & (ends <= self.sums.time[-1])
         free &= ends - starts >= _DURATIONS[0] - 1e-9
-        free &= ends - starts <= _MOST_OF_LOG * (self.sums.time[-1] - self.sums.time[0])
         for other in taken:
             free &= (other.log != self.log) | (starts >= other.start + other.duration) | (ends <= other.start)
         if not free.any():
