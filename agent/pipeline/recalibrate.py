@@ -99,9 +99,7 @@ def run_recalibration(
         reference = find_reference(recipe, logs, past)
         if authorisation is not None:
             authorisation.check_problem(reference.loop.key)
-        compared = {"reference": reference.run, "program": reference.loop.checksum, "serial": past.serial}
-        options = [] if authorisation is None else ["--authorisation", str(authorisation.path)]
-        facts = {**run_key(recipe), **compared, "options": options}
+        facts = _facts(recipe, reference, authorisation)
         job = Job.start("recalibrate", recipe, console, logs, facts, yes, authorisation)
         job.announce()
         run = job.run
@@ -120,8 +118,7 @@ def run_recalibration(
             write_analysis(run.file("analysis.mcap"), log, prediction)
             run.write_json("result.json", result)
             run.write_json("comparison.json", comparison.to_dict())
-            program = reference.loop.program
-            page = recalibration_page(recipe, program, result, comparison, log, prediction, run.path)
+            page = recalibration_page(recipe, reference.loop.program, result, comparison, log, prediction, run.path)
             run.write_text("report.html", page)
             run.complete(result["accepted"])
         outcome, trend_warnings = _enter_into_history(job, result)
@@ -130,6 +127,13 @@ def run_recalibration(
     if cut_short is not None:
         raise cut_short
     return outcome
+
+
+def _facts(recipe: Recipe, reference: Reference, authorisation: Authorisation | None) -> dict[str, Any]:
+    """What the state of the run says of its question: the loop, what it is compared with, and the options."""
+    compared = {"reference": reference.run, "program": reference.loop.checksum, "serial": reference.past.serial}
+    options = [] if authorisation is None else ["--authorisation", str(authorisation.path)]
+    return {**run_key(recipe), **compared, "options": options}
 
 
 def _diagnose(job: Job, reference: Reference, log: Log, result: dict[str, Any]) -> BaseException | None:

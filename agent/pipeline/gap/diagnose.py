@@ -13,7 +13,7 @@ from typing import Any
 from agent.core import AgentError, Console, read_json, words_of, write_atomically
 from agent.diagnosis import Diagnosis, extended_model, simulation_part, supported_correction
 from agent.experiment import Deadline, NoMotion
-from agent.model import CATALOGUE, payload_of
+from agent.model import CATALOGUE, IdentifiedModel, payload_of
 from agent.pages import diagnosis_report, in_short, summary
 from agent.pipeline.checked_logs import load_arm
 from agent.pipeline.gap.corrected_output import run_forward, write_simulator
@@ -27,7 +27,7 @@ from agent.pipeline.job import Job, validation_logs
 from agent.pipeline.planning.plan import plan_once
 from agent.recipe import load_recipe
 from agent.robot import RobotDescription
-from agent.runs import robot_lock
+from agent.runs import RunFolder, robot_lock
 from agent.simulators import Simulator, is_simulator
 
 #: Copies in the run folder of the model to compare with and of the log with the drives off.
@@ -105,11 +105,7 @@ def diagnose_recording(
         facts = {"robot_source": loaded.robot_source, "question": asked, "options": options}
         job = Job.start("diagnose", loaded, console, runs, facts, yes)
         run = job.run
-        if reference is not None:
-            run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))
-            question = replace(question, model=run.file(_SIMULATOR), joint_map=None)
-        if question.drives_off is not None:
-            question = replace(question, drives_off=Path(copyfile(question.drives_off, run.file(_DRIVES_OFF))))
+        question = _with_copies(question, reference, run)
         console.say(f"run {run.path}")
         with job.step("plan"):
             plan = plan_once(loaded, run, console)
@@ -131,6 +127,16 @@ def diagnose_recording(
         ended = job.end(result, f"{'page':20}{run.file('report.html')}")
     console.say(ended.text)
     return result
+
+
+def _with_copies(question: GapQuestion, reference: IdentifiedModel | None, run: RunFolder) -> GapQuestion:
+    """The question with the model to compare with and the log with the drives off as files of the run."""
+    if reference is not None:
+        run.write_text(_SIMULATOR, json.dumps(reference.to_dict(), allow_nan=False))
+        question = replace(question, model=run.file(_SIMULATOR), joint_map=None)
+    if question.drives_off is not None:
+        question = replace(question, drives_off=Path(copyfile(question.drives_off, run.file(_DRIVES_OFF))))
+    return question
 
 
 def _save_cut_short(
