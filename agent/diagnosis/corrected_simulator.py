@@ -100,19 +100,26 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
 
 def _moves_worse(diagnosis: Diagnosis, change: np.ndarray) -> bool:
     """Whether the chosen numbers move the simulator worse than those of the fit of its motion, next to what a right
-    file leaves; not where effects or links, which that fit does not have, were chosen with them."""
+    file leaves; not where effects, which that fit does not have, were chosen with them.
+
+    Nor does it have links: with links the rows, in which the motion is linear, have to promise less than it leaves.
+    """
     released, dataset, servos = diagnosis.released, diagnosis.dataset, diagnosis.dataset.servos
     assert released is not None
     assert servos is not None
     if np.any(servos.gains(change) <= 0):
         return True
-    if diagnosis.selected.causes or any(group.kind == LINK for group in released.groups):
+    if diagnosis.selected.causes:
         return False
+    least, fitted = dataset.fit.sigma.min(axis=0), servos.simulation.fit_error
+
+    def over_fit(error: np.ndarray) -> float:
+        return float(np.sqrt(np.mean((np.hypot(error, least) / np.hypot(fitted, least)) ** 2)))
+
+    if any(group.kind == LINK for group in released.groups):
+        return over_fit(diagnosis.gap.after * diagnosis.gap.unit) > 1.0
     numbers = servo_numbers(dataset, released.groups, change).possible
-    least = dataset.fit.sigma.min(axis=0)
-    chosen = np.hypot(servos.simulation.error(numbers, gained_load(released)), least)
-    fitted = np.hypot(servos.simulation.fit_error, least)
-    return bool(np.sqrt(np.mean((chosen / fitted) ** 2)) > LIMITS.alike)
+    return over_fit(servos.simulation.error(numbers, gained_load(released))) > LIMITS.alike
 
 
 def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:
