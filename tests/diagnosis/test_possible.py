@@ -42,14 +42,6 @@ def test_friction_does_not_fall_below_zero(reference):
         assert possible(reference, "asymmetric_friction", {"coulomb": 1.0}, asymmetry) == fine
 
 
-def test_a_driving_load_loses_more_than_the_level_only_as_far_as_other_friction_brakes_it(reference):
-    coulomb, coefficient = level(reference, "coulomb"), 0.2
-    for factor, fine in ((-1.0, True), (0.1, True), (0.9, True), (1.5, False)):
-        driven = -coefficient - factor * coulomb / float(reference.scale[1])
-        values = {"coefficient": coefficient, "driven_coefficient": driven}
-        assert possible(reference, "load_dependent_friction", {"links": 1.0, "driven": 1.0}, values) == fine
-
-
 def test_no_gear_warms_up_in_a_second_and_no_load_has_negative_inertia(reference):
     drift = {"coulomb_change": 0.1, "coulomb_drift": 0.1, "viscous_change": 0.0, "viscous_drift": 0.0}
     for form, fine in (({"way": 20.0}, True), ({"way": 0.3}, False), ({"time_constant": 0.9}, False)):

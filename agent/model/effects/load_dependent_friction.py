@@ -6,8 +6,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from agent.model.effect_inputs import MotionSignals, NominalModel
-from agent.model.effects.effect import POWERS, FitContext, Joints, Numbers, rubs
+from agent.model.effect_inputs import MotionSignals
+from agent.model.effects.effect import POWERS, FitContext, Joints, Numbers
 from agent.model.effects.friction_level import FrictionLevel
 
 
@@ -63,7 +63,5 @@ class LoadDependentFriction(FrictionLevel):
             columns.append(load)
         return tuple(columns)
 
-    def level_possible(self, reference: NominalModel, axle: int, settings: Numbers, values: Numbers) -> bool:
-        """A load that drives loses more than the level only as far as other friction brakes it, at nominal torque."""
-        excess = abs(values.get("driven_coefficient", 0.0)) - abs(values["coefficient"])
-        return rubs(reference, axle, coulomb=-max(excess, 0.0) * float(reference.scale[axle]))
+    def plausible(self, settings: Numbers, values: Numbers) -> bool:
+        return abs(values.get("driven_coefficient", 0.0)) <= abs(values["coefficient"])
