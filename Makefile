@@ -45,7 +45,8 @@ test: dev
 	@$(MAKE) --no-print-directory --jobs 2 lint pytest
 
 pytest: dev
-	$(BIN)/python -m pytest --forks 4 -m "not verify"
+	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not verify and not alone"
+	$(BIN)/python -m pytest -m "not verify and alone" tests/faults
 
 # ROS 2 has an environment of its own (250 MB): its wheels restart every Python that they are installed for.
 ROS := .venv-ros
@@ -60,7 +61,7 @@ $(ROS)/.made: $(VENV)/.dev
 	@touch $@
 
 ros: $(ROS)/.made
-	$(ROS)/bin/python -m pytest --forks 4 -m "not verify" tests/ros2 tests/link/test_watch.py
+	$(ROS)/bin/python -m pytest -n 4 --dist worksteal -m "not verify" tests/ros2 tests/link/test_watch.py
 
 verify: dev
 	$(BIN)/python tests/verify.py

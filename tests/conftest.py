@@ -29,7 +29,6 @@ from hypothesis import HealthCheck, is_hypothesis_test, settings
 
 from agent.robot import RobotDescription, load_robot
 from tests.browser import Browser, browser as start_browser
-from tests.forked import pytest_addoption, pytest_runtestloop  # noqa: F401  hooks
 from tests.warm import WarmProcess, shared_nursery
 
 # The same examples every time, so that a test tells of the change and not of the draw; `make verify` draws fresh ones.
@@ -65,7 +64,10 @@ SHARED = ROOT / "../shared/data"
 
 def pytest_configure(config: pytest.Config) -> None:
     """All processes of a run start programs from one that has imported them."""
-    if config.getoption("forks"):
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        if not list((ROOT / "tests" / "__pycache__").glob("test_house.*-pytest-*.pyc")):
+            # In a fresh clone every worker would compile all tests and all inner loops for itself.
+            subprocess.run([sys.executable, "-m", "pytest", "--collect-only"], cwd=ROOT, stdout=subprocess.DEVNULL)
         shared = contextlib.ExitStack()
         shared.enter_context(shared_nursery())
         config.add_cleanup(shared.close)

@@ -26,5 +26,5 @@ def drawn_attacks() -> list[str]:
 @pytest.mark.parametrize("draw", DRAWS)
 def test_attacks_hold_with_another_random_draw(draw: int, folder: str, measured):
     tests = [test for test in drawn_attacks() if test.split("/")[1] == folder]
-    arguments = ("-m", "verify or not verify", *tests)
+    arguments = ("-n", "0", "-m", "verify or not verify", *tests)
     hold_again(measured, f"attacks of {folder} in draw {draw}", "all held", *arguments, CALIBRATION_DRAW=str(draw))
