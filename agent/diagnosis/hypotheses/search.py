@@ -182,7 +182,7 @@ class Search:
             if factor is not None:
                 wanted = [
                     (e.effect, e.joints, s) for e in map(evidence.pool.candidate, best.values())
-                    for s in e.effect.nearby(e.settings, factor)
+                    for s in e.effect.nearby(e.settings, factor) if e.effect.shown(self.fit, e.joints, s)
                 ]  # fmt: skip
             before = evidence.pool.size
             self._add(self.fit, wanted)

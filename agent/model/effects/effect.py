@@ -185,6 +185,10 @@ class Effect(ABC):
         steps = ((name, scale) for name in self.refined if name in settings for scale in (1 / factor, factor))
         return [{**settings, name: settings[name] * scale} for name, scale in steps]
 
+    def shown(self, context: FitContext, joints: Joints, settings: Numbers) -> bool:
+        """Whether the motions can show these settings: those of `settings` they can, and a finer search moves them."""
+        return True
+
     def counted(self, settings: Numbers) -> int:
         """Number of nonlinear parameters that cost evidence."""
         return len(settings) if self.nonlinear is None else sum(name in settings for name in self.nonlinear)

@@ -55,8 +55,8 @@ class TorqueRipple(Effect):
         gear = abs(float(context.reference.robot.gear_ratios[axle]))
         highest = _HIGHEST * max(gear, _LOWEST)
         bins = int((high - low) * highest / 2 / np.pi * _FINE) + 2
-        two_periods = 2 * (2 * np.pi) / (high - low)  # order of two periods in all
-        if bins > 2_000_000 or two_periods > highest:
+        lowest = max(_LOWEST, _two_periods(low, high))
+        if bins > 2_000_000 or lowest > highest:
             return []
         sums = np.zeros(bins)
         speeds = []
@@ -71,7 +71,7 @@ class TorqueRipple(Effect):
         speed = np.sort(np.concatenate(speeds))
         cutoff = context.reference.model.cutoff
         passing = np.searchsorted(speed, 2 * np.pi * cutoff / np.maximum(order, 1e-9))
-        gain = np.where((order > max(_LOWEST, two_periods)) & (order < highest), power, 0)
+        gain = np.where((order > lowest) & (order < highest), power, 0)
         gain = gain / np.maximum(passing, _FEWEST)
         peaks = []
         for _ in range(_PEAKS):
@@ -82,6 +82,10 @@ class TorqueRipple(Effect):
             gain[max(0, best - 8) : best + 9] = 0
         return peaks
 
+    def shown(self, context: FitContext, joints: Joints, settings: Numbers) -> bool:
+        """Not less than two periods in all: over one, a ripple is any torque that follows the angle."""
+        return settings["order"] > max(_LOWEST, _two_periods(*travelled(context, joints[0])))
+
     def names(self, settings: Numbers) -> tuple[str, ...]:
         return harmonic_names(settings)
 
@@ -91,3 +95,8 @@ class TorqueRipple(Effect):
 
     def passive_forces(self, values: Numbers, fastest: float) -> PassiveForces:
         return PassiveForces(periodic=periodic(values, values["order"]))
+
+
+def _two_periods(low: float, high: float) -> float:
+    """Order [1/rad] of two periods between two angles [rad]."""
+    return 2 * (2 * np.pi) / (high - low)

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from agent.diagnosis import diagnose
+from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.rows.dataset import assemble
 from agent.diagnosis.rows.rounding import rounding_noise, rounding_step
 from agent.estimation import beyond_fit
@@ -73,6 +74,20 @@ def test_torque_that_follows_a_short_travel_is_not_a_push(arm, model, cause):
     result = diagnose(arm, logs, model).result
     assert [entry["effect"] for entry in result["causes"]] == ([] if cause == "of its angle" else ["contact"])
     assert result["verdict"] != "no_gap"
+
+
+def test_a_finer_search_for_a_ripple_keeps_to_two_periods(arm, model):
+    """Order by order a ripple would come to one slow wave, which any torque over the angle looks like."""
+    logs = [record(Plant(arm, seed=3), name, seed, (0.06, 1.0, 1.0)) for name, seed in (("one", 21), ("two", 22))]
+    fit, ripple = assemble(arm, model, logs, None).fit, CATALOGUE["torque_ripple"]
+    travel = max(float(log.position[:, 0].max()) for log in logs) - min(float(log.position[:, 0].min()) for log in logs)
+    assert all(ripple.shown(fit, (0,), settings) for settings in ripple.settings(fit, (0,)))
+    for periods in (0.5, 1.8, 2.2, 5.0):
+        order = 2 * np.pi * periods / travel
+        assert ripple.shown(fit, (0,), {"order": order, "harmonics": 1.0}) == (periods > 2)
+    refined = Search(fit, tuple({*CATALOGUE} - {"torque_ripple"})).run()
+    for candidate in (candidate for block in refined.evidence.pool.blocks for candidate in block.candidates):
+        assert ripple.shown(fit, candidate.joints, candidate.settings)
 
 
 USUAL, WIDE = (0.5, 0.5, 0.5), (0.5, 0.5, 3.0)
