@@ -34,7 +34,7 @@ from agent.diagnosis.simulator_file.released_numbers import (
 from agent.model import CATALOGUE, FileNumbers, ModelEffect
 
 #: Names of effects by the numbers of a file that they change; the built-in ones last.
-_NAMES = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}
+NAMES = {effect.numbers: effect.name for effect in reversed([*CATALOGUE.values()])}
 
 
 def causes_of_numbers(
@@ -52,7 +52,7 @@ def causes_of_numbers(
     simulator as given.
     """
     names, probability = released.given.robot.joint_names, LAW.certain * min(gap.closure or 0.0, 1.0)
-    like_load = (NamedEffect(_NAMES[FileNumbers.LOAD], ()),) if _may_be_load(released, selected.causes, gap) else ()
+    like_load = (NamedEffect(NAMES[FileNumbers.LOAD], ()),) if _may_be_load(released, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
         part = gap.closure_without(_without(released, groups, selected.causes))
@@ -71,9 +71,9 @@ def causes_of_numbers(
             causes.append(Cause(effect, joint, closes(group), probability, parameters, equal, own_part))
     if bodies:
         last = any(group.kind == LINK and group.joint == released.given.robot.load_link for group in bodies)
-        as_load = (NamedEffect(_NAMES[FileNumbers.LOAD], ()),) if last and released.given.servos is not None else ()
+        as_load = (NamedEffect(NAMES[FileNumbers.LOAD], ()),) if last and released.given.servos is not None else ()
         parameters = _links(released)
-        causes.append(Cause(_NAMES[FileNumbers.LINKS], (), closes(*bodies), probability, parameters, as_load))
+        causes.append(Cause(NAMES[FileNumbers.LINKS], (), closes(*bodies), probability, parameters, as_load))
     return tuple(sorted(causes, key=lambda cause: -(cause.closure or 0.0)))
 
 
@@ -81,21 +81,21 @@ def _as_effects(released: ReleasedSimulator, group: Group) -> list[tuple[str, di
     """A group as an effect with its parameters; none of a spring that pushes."""
     model, change, servos = released.given.model, released.moved.fit.change, released.given.servos
     if group.moves_links:
-        return [(_NAMES[FileNumbers.LOAD], gained_parameters(released, group))]
+        return [(NAMES[FileNumbers.LOAD], gained_parameters(released, group))]
     if group.kind == FileNumbers.FRICTION:
         own = [k for k, term in enumerate(model.terms) if term.axle == group.joint]
         base = len(model.independent)
-        return [(_NAMES[FileNumbers.FRICTION], {f"{model.terms[k].form}_change": float(change[base + k]) for k in own})]
+        return [(NAMES[FileNumbers.FRICTION], {f"{model.terms[k].form}_change": float(change[base + k]) for k in own})]
     assert servos is not None
     if group.kind == SPRING:
         springs = springs_as_effects(released.given, [group], change)
         return [(spring.effect, dict(spring.parameters)) for spring in springs]
     if group.kind == GAIN:
         scale = servos.file.kp[group.joint] / servos.gains(change)[group.joint]
-        return [(_NAMES[GAIN], {"scale_error": float(scale - 1)})]
+        return [(NAMES[GAIN], {"scale_error": float(scale - 1)})]
     if group.kind == OFFSET:
-        return [(_NAMES[OFFSET], {"set_point_offset": float(servos.offsets(change)[group.joint])})]
-    return [(_NAMES[DELAY], {"delay": delay_of(released, change, group)})]
+        return [(NAMES[OFFSET], {"set_point_offset": float(servos.offsets(change)[group.joint])})]
+    return [(NAMES[DELAY], {"delay": delay_of(released, change, group)})]
 
 
 def _in_its_stead(
@@ -109,14 +109,14 @@ def _in_its_stead(
     """Effects that may be the cause instead of a group of which another gain is another friction (`open_gain`)."""
     joint = (released.given.robot.joint_names[group.joint],)
     if group.moves_links:
-        return (NamedEffect(_NAMES[FileNumbers.LINKS], ()),)
+        return (NamedEffect(NAMES[FileNumbers.LINKS], ()),)
     if group.kind == FileNumbers.FRICTION:
-        names = [*([_NAMES[GAIN]] if open_gain else []), *likely_effects_on(released, selected, group)]
+        names = [*([NAMES[GAIN]] if open_gain else []), *likely_effects_on(released, selected, group)]
         return tuple(NamedEffect(name, joint) for name in names)
     if group.kind == GAIN:
-        return (*like_load, *([NamedEffect(_NAMES[FileNumbers.FRICTION], joint)] if open_gain else []))
+        return (*like_load, *([NamedEffect(NAMES[FileNumbers.FRICTION], joint)] if open_gain else []))
     if group.kind == SPRING:
-        return tuple(NamedEffect(name, joint) for name in CATALOGUE[_NAMES[SPRING]].structurally_equivalent)
+        return tuple(NamedEffect(name, joint) for name in CATALOGUE[NAMES[SPRING]].structurally_equivalent)
     return _like_offset(released, selected.causes, group, gap) if group.kind == OFFSET else ()
 
 
@@ -136,7 +136,7 @@ def springs_as_effects(dataset: Dataset, groups: Sequence[Group], change: np.nda
     stiffer, names = change[servos.layout.stiffness], dataset.robot.joint_names
     return [
         ModelEffect(
-            _NAMES[SPRING],
+            NAMES[SPRING],
             (names[j],),
             {"constant": float(-stiffer[j] * servos.simulation.arm.rest[j]), "stiffness": float(stiffer[j])},
         )
@@ -200,7 +200,7 @@ def _like_offset(
     definition, and what leaves as little in its stead: another zero of the joint, or a load."""
     names, joint = released.given.robot.joint_names, group.joint
     others = [other for other in released.groups if other is not group]
-    zero = CATALOGUE[_NAMES[FileNumbers.ZERO]]
+    zero = CATALOGUE[NAMES[FileNumbers.ZERO]]
     loads = [entry for entry in load_groups(released.given) if (entry.kind, entry.joint) not in released.parts]
 
     def as_little(fit: Fit) -> bool:
@@ -210,9 +210,9 @@ def _like_offset(
     fit = released_fit(released.given, others)
     with_zero = fit.with_chosen((*causes, *fit.candidates([(zero, (joint,), {})])))
     loaded = released_fit(released.given, [*others, *loads]).with_chosen(causes)
-    alike = [NamedEffect(name, (names[joint],)) for name in CATALOGUE[_NAMES[OFFSET]].structurally_equivalent]
+    alike = [NamedEffect(name, (names[joint],)) for name in CATALOGUE[NAMES[OFFSET]].structurally_equivalent]
     alike += [NamedEffect(zero.name, (names[joint],))] if as_little(with_zero) else []
-    alike += [NamedEffect(_NAMES[FileNumbers.LOAD], ())] if loads and as_little(loaded) else []
+    alike += [NamedEffect(NAMES[FileNumbers.LOAD], ())] if loads and as_little(loaded) else []
     return tuple(alike)
 
 
