@@ -218,7 +218,14 @@ class Bench:
         self.guard: GuardedLink | None = None
         self.address = ""
 
-    def build(self, yes: bool = True, address: str = "", rate: float = 500.0, **options: object) -> GuardedLink:
+    def build(
+        self,
+        yes: bool = True,
+        address: str = "",
+        rate: float = 500.0,
+        clock: Callable[[], float] = time.monotonic,
+        **options: object,
+    ) -> GuardedLink:
         peer = Peer(self.controller)
         self.address = peer.address
 
@@ -234,6 +241,7 @@ class Bench:
             Permission(self.checked, yes, **options),
             ask,
             self.warned.append,
+            clock=clock,
         )
         return self.guard
 
