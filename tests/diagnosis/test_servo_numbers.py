@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.diagnosis.document import Cause
+from agent.diagnosis.document import Cause, NamedEffect
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file import servo_table
 from agent.diagnosis.simulator_file.numbers_as_causes import likely_effects_on
 from agent.diagnosis.simulator_file.parameter_groups import Group
+from agent.diagnosis.simulator_file.position_verdict import _as_class
 from agent.diagnosis.verdict import decide_by_position
 from agent.simulators import KINDS, ServoNumbers
 
@@ -120,3 +121,12 @@ def test_an_interval_holds_its_number_is_possible_and_keeps_its_width_above_it(v
     assert kind == "offset" or low >= 0
     if value - below > 0 or kind == "offset":
         assert (number, low) == (value, value - below)
+
+
+def test_numbers_none_of_which_is_surely_wrong_are_one_class():
+    """In slow motion a delay is damping; of several numbers the one that closes most leads."""
+    late, rubs = Cause("time_delay", ("b",), 0.9, 0.9, {"delay": 0.01}), Cause("friction_change", ("a",), 0.2, 0.9, {})
+    (leader,) = _as_class([late, rubs])
+    assert (leader.effect, leader.joints) == ("time_delay", ("b",))
+    assert leader.equivalent_to == (NamedEffect("friction_change", ("a",)), NamedEffect("friction_change", ("b",)))
+    assert _as_class([]) == []
