@@ -89,9 +89,9 @@ class NoiseModel:
         healthy = healthy or ()
         own_model = fit.keeps_parameters and fit.reference.model.method != SIMULATOR
         # these logs say nothing of how much the model errs in other motion, however little noise they have
-        known = fit.reference.model.noise_share
-        own_error = 0.0 if not own_model or not healthy else 1.0 if known is None else known
-        self._least_scale = np.broadcast_to(own_error, self.joints)
+        noise_share = fit.reference.model.noise_share
+        own_error = np.ones(self.joints) if noise_share is None else noise_share
+        self._least_scale = own_error if own_model and healthy else np.zeros(self.joints)
         spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))
         self.share: list[float] = []
         self.known: list[np.ndarray] = []
