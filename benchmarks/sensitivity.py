@@ -204,7 +204,7 @@ class _Numbers(ast.NodeVisitor):
 
     def _named(self, target: ast.expr, value: ast.expr, node: ast.stmt) -> None:
         comment = ""
-        if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "known":
+        if isinstance(value, ast.Call) and getattr(value.func, "id", "") == "number":
             value, *about = value.args
             said = [self._texts.get(a.id, "") if isinstance(a, ast.Name) else ast.literal_eval(a) for a in about]
             comment = "; ".join(map(str, said))

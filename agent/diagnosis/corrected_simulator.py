@@ -119,7 +119,7 @@ def _moves_worse(diagnosis: Diagnosis, change: np.ndarray) -> bool:
     if any(group.kind == LINK for group in released.groups):
         return over_fit(diagnosis.gap.after * diagnosis.gap.unit) > 1.0
     numbers = servo_numbers(dataset, released.groups, change).possible
-    return over_fit(servos.simulation.error(numbers, gained_load(released))) > LIMITS.alike
+    return over_fit(servos.simulation.error(numbers, gained_load(released))) > LIMITS.equal_ratio
 
 
 def supported_correction(diagnosis: Diagnosis, simulator: Simulator) -> Correction:

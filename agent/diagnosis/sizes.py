@@ -118,5 +118,5 @@ def jackknife(values: np.ndarray) -> np.ndarray:
     count = len(values)
     if count < 2:
         return np.zeros(values.shape[1:])
-    likely = stdtrit(max(count - 1, _LEAST_DEGREES), (1 + LAW.certain) / 2)
+    likely = stdtrit(max(count - 1, _LEAST_DEGREES), (1 + LAW.confidence) / 2)
     return np.asarray(likely * np.sqrt((count - 1) * np.var(values, axis=0)))

@@ -133,7 +133,7 @@ def name_causes(selected: SelectedCauses, errs: bool = False) -> SelectedCauses:
     whether a joint errs by more than a healthy arm does, whatever the noise model explains of it.
     """
     exceeded = errs or selected.scale >= LIMITS.usual_error**2
-    if not exceeded and selected.healthy > 1 - LAW.certain:
+    if not exceeded and selected.healthy > 1 - LAW.confidence:
         return selected.without_causes(leaves_gap=False)
     sure = [k for k, probability in enumerate(selected.probability) if probability >= LAW.sure]
     if not sure or selected.explained_share < LIMITS.explained:

@@ -223,7 +223,7 @@ def _where_known(problem: LoopProblem, diagnosis: Diagnosis) -> LoopProblem:
 
 def _refused(problem: LoopProblem) -> str:
     """The limit that most loops in the sub-region break."""
-    genomes = np.random.default_rng(0).uniform(size=(LIMITS.fewest, problem.genes))
+    genomes = np.random.default_rng(0).uniform(size=(LIMITS.min_samples, problem.genes))
     candidates = Candidates(problem)
     reasons = [loop.reason for loop in map(candidates.checked_loop, genomes) if isinstance(loop, LoopScore)]
     return max(set(reasons), key=reasons.count) if reasons else "the last candidate took too long"

@@ -95,7 +95,7 @@ def plan_experiment(
         cut_short = False
     before = scorer.chances(scorer.nothing)
     at_best = scorer.chances(_sum(scorer, pool))
-    asked = (at_best > np.maximum(np.nan_to_num(before), LIMITS.majority)) & (np.nan_to_num(before) < LAW.certain)
+    asked = (at_best > np.maximum(np.nan_to_num(before), LIMITS.majority)) & (np.nan_to_num(before) < LAW.confidence)
     if not asked.any():
         return Experiment((), (), len(pool), cut_short)
     chosen = _varied(scorer, pieces, _greedy(scorer, pool, seconds / 2, asked), seconds / 2, asked, deadline)
@@ -169,7 +169,7 @@ def _greedy(scorer: ExperimentScorer, pool: Sequence[Weighed], seconds: float, a
         if worth[best] <= now:
             break
         chosen, now = [*chosen, options[best]], worth[best]
-        if scorer.chances(_sum(scorer, chosen))[asked].min() > LAW.certain:
+        if scorer.chances(_sum(scorer, chosen))[asked].min() > LAW.confidence:
             break
     return chosen
 
@@ -180,6 +180,6 @@ def _sum(scorer: ExperimentScorer, chosen: Sequence[Weighed]) -> InformationGain
 
 def _utility(scorer: ExperimentScorer, chosen: Sequence[Weighed], asked: np.ndarray) -> float:
     """Log odds of the worst pair within reach and of all of them; more than certain counts no more."""
-    chance = np.clip(scorer.chances(_sum(scorer, chosen))[asked], 1e-300, LAW.certain)
+    chance = np.clip(scorer.chances(_sum(scorer, chosen))[asked], 1e-300, LAW.confidence)
     odds = np.log(chance / (1 - chance))
     return float(odds.min() + odds.mean())

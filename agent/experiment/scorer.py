@@ -155,7 +155,7 @@ class ExperimentScorer:
         lower = np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-9 * np.eye(len(at)))
         follows = float(np.sum(solve_triangular(lower, unit * side, lower=True) ** 2))
         own = float(values @ whole[np.ix_(columns, columns)] @ values)
-        lost = 0.0 if rival.form is None else self._evidence.law.form**2 * own
+        lost = 0.0 if rival.form is None else self._evidence.law.form_error**2 * own
         return 0.5 * max(own - follows - lost, 0.0)
 
     def _practical(self, form: Candidate) -> np.ndarray:

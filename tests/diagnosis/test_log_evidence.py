@@ -96,7 +96,7 @@ class Written:
         for j, (common, of_log) in enumerate(zip(self.common, self.of_log, strict=True)):
             known = max(scales[j], self.fit.reference.model.noise_share[j]) if self.learned else scales[j]
             variance = known * THE_LAW.systematic**2 + (THE_LAW.drift * unit[j]) ** 2
-            variance += THE_LAW.form**2 * form[j]
+            variance += THE_LAW.form_error**2 * form[j]
             variance += ((free or {}).get(j, 0.0) * unit[j]) ** 2
             found[j, :, j] = variance * common @ common.T + of_log + scales[j] / WEIGHT * np.eye(ROWS)
         return found.reshape(2 * ROWS, -1)
@@ -246,7 +246,7 @@ def test_information_is_that_of_all_rows_under_the_noise_model(case):
 
 def test_the_smallest_size_that_would_be_named_outweighs_the_prior(case):
     evidence, written = case
-    sure, prior = LAW.sure / LAW.certain, (1 - LAW.rare) / len(CATALOGUE) / 2
+    sure, prior = LAW.sure / LAW.confidence, (1 - LAW.unlikely) / len(CATALOGUE) / 2
     assert evidence.naming_threshold(True) == pytest.approx(np.log(sure / (1 - sure) / prior))
     assert evidence.naming_threshold(False) == pytest.approx(np.log(10))
     base = written.evaluate((), {}, np.minimum(evidence.null_hypothesis.scales, 1), refit=False)

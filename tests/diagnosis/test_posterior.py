@@ -25,8 +25,8 @@ def log_prior(effect_keys, free) -> float:
     count = len(effect_keys) + len(free)
     if not count:
         return 0.0
-    effects = [(1 - LAW.rare) / len(CATALOGUE) / (JOINTS if joints else 1) for _, joints in effect_keys]
-    return np.log(LAW.rare ** (count - 1) * np.prod([*effects, *[LAW.rare / JOINTS] * len(free)]))
+    effects = [(1 - LAW.unlikely) / len(CATALOGUE) / (JOINTS if joints else 1) for _, joints in effect_keys]
+    return np.log(LAW.unlikely ** (count - 1) * np.prod([*effects, *[LAW.unlikely / JOINTS] * len(free)]))
 
 
 def hypothesis(share, *effect_keys, torque=(0.1, 0.1), free=(), left=0.0, scale=1.0, apart=None):

@@ -251,7 +251,7 @@ def test_a_cause_is_named_from_the_limits_on():
     plain = Hypothesis((), (), 0.0, {}, (), 0.0, 1.0)
     best = (candidate_of("stribeck", 0),)
     found = SelectedCauses(
-        _Fit(), _Fit(best), best, ((),), (LAW.sure,), LIMITS.explained, (plain,), None, 1 - LAW.certain
+        _Fit(), _Fit(best), best, ((),), (LAW.sure,), LIMITS.explained, (plain,), None, 1 - LAW.confidence
     )  # type: ignore[arg-type]
     assert name_causes(found).causes == best
     for less in ({"probability": (LAW.sure - 1e-9,)}, {"explained_share": 0.7499}, {"healthy": 0.0501}):

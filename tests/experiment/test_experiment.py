@@ -44,7 +44,7 @@ def test_asks_about_the_ambiguous_causes(ambiguous):
 )
 def test_a_further_motion_never_reduces_the_separation(arm, ambiguous, first, second, seconds):
     exact = copy(ambiguous.selected.evidence)
-    exact.law = replace(exact.law, form=0.0)  # of a form that is wrong, a rival follows more the more it shows
+    exact.law = replace(exact.law, form_error=0.0)  # of a form that is wrong, a rival follows more the more it shows
     scorer = ExperimentScorer(ambiguous.dataset, exact, open_pairs(ambiguous))
     one = scorer.information_of(wave(arm, first, seconds))
     together = one + scorer.information_of(wave(arm, second, seconds))

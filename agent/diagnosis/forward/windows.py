@@ -228,7 +228,7 @@ def forward_warning(result: dict[str, Any]) -> str:
     worse = [
         f"{seconds:g} s"
         for seconds, a, b in zip(result["horizon_s"], after, before, strict=True)
-        if a > LIMITS.alike * b
+        if a > LIMITS.equal_ratio * b
     ]
     if not worse:
         return ""

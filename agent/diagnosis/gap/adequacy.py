@@ -32,7 +32,7 @@ from agent.diagnosis.rows.fit import Fit
 
 #: Times its held-out error that a model errs on healthy motion, except in a rare case. That error comes from few logs:
 #: its square, over what the model errs by, is χ² with `nu` degrees of freedom, over `nu`.
-LARGEST_ERROR = float(np.sqrt(LAW.nu / chdtri(LAW.nu, 1 - LAW.rare)))
+LARGEST_ERROR = float(np.sqrt(LAW.nu / chdtri(LAW.nu, 1 - LAW.unlikely)))
 
 
 def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
@@ -59,7 +59,7 @@ def errs_beyond_chance(dataset: Dataset, searched: SelectedCauses) -> bool:
     if not dataset.has_reference or len(dataset.model.provenance.get("logs", ())) < 2:
         return False
     another_day = dataset.fit.with_prior(searched.evidence.prior)
-    return exceeds(another_day, held_out_gap(dataset, another_day), LIMITS.deviations)
+    return exceeds(another_day, held_out_gap(dataset, another_day), LIMITS.significant_deviations)
 
 
 def _while_moving(fit: Fit, gap: HeldOutGap) -> tuple[np.ndarray, np.ndarray]:

@@ -52,10 +52,10 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
         )
     if log.effort is None:
         raise InputError(f"{log.name}: has no torque, so it does not say what the channels show with the drives off")
-    if log.t[-1] - log.t[0] < LIMITS.block or len(log.t) < LIMITS.fewest:
+    if log.t[-1] - log.t[0] < LIMITS.segment_duration or len(log.t) < LIMITS.min_samples:
         raise InputError(
-            f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record {LIMITS.block:g} s "
-            f"and {LIMITS.fewest} samples at least"
+            f"{log.name}: {log.t[-1] - log.t[0]:.2g} s with the drives off are too short, record "
+            f"{LIMITS.segment_duration:g} s and {LIMITS.min_samples} samples at least"
         )
     for joint, travel in zip(robot.joints, np.ptp(log.position, axis=0), strict=True):
         if travel > LIMITS.least_travel:
@@ -64,9 +64,9 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
                 "hold an arm"
             )
     _check_off(robot, log, model)
-    means = np.array([block.mean(axis=0) for block in np.array_split(log.effort, LIMITS.blocks)])
+    means = np.array([block.mean(axis=0) for block in np.array_split(log.effort, LIMITS.log_parts)])
     off = np.ptp(log.effort, axis=0) == 0
-    torque, error = means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(LIMITS.blocks)
+    torque, error = means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(LIMITS.log_parts)
     return ChannelZero(np.where(off, np.nan, torque), np.where(off, np.nan, error))
 
 
@@ -138,13 +138,13 @@ def zero_remarks(dataset: Dataset, selected: SelectedCauses, zero: ChannelZero) 
         if np.isnan(shown):
             if joint in offsets:
                 remarks.append(f"the torque channel of {entry.name} is off with its drive, so it settles nothing")
-        elif LIMITS.deviations * zero.error[joint] > offsets.get(joint, np.inf):
+        elif LIMITS.significant_deviations * zero.error[joint] > offsets.get(joint, np.inf):
             remarks.append(f"with the drives off the torque of {entry.name} is too restless to show an offset")
         elif joint in offsets:
             remarks.append(
                 f"with the drives off the torque of {entry.name} is {shown:.3g} {unit}: its channel has an offset"
             )
-        elif min(abs(shown), abs(shown - before[joint])) > LIMITS.deviations * zero.error[joint] + least:
+        elif min(abs(shown), abs(shown - before[joint])) > LIMITS.significant_deviations * zero.error[joint] + least:
             remarks.append(
                 f"with the drives off the torque of {entry.name} is {shown:.3g} {unit}, and in motion no offset of its "
                 "channel was found: was it recorded on the same day, by the same channel, with the drives off?"

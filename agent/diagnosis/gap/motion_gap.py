@@ -56,7 +56,7 @@ class MotionGap:
     def causes(self, of_path: Sequence[str]) -> list[Cause] | None:
         """The gap as a cause, by the first of these effects, if any; None if nothing explains it."""
         parameters = {"rate": self.rate, "shift": self.shift, "blend": self.blend}
-        named = [Cause(name, (), self.closure, LAW.certain, parameters) for name in of_path[:1]]
+        named = [Cause(name, (), self.closure, LAW.confidence, parameters) for name in of_path[:1]]
         return named if self.described else None
 
     @property
@@ -79,7 +79,7 @@ def motion_gap(logs: Sequence[Log]) -> MotionGap | None:
         if log.planned_position is None or log.reference_position is None:
             return None
         good = np.all(np.isfinite(log.planned_position) & np.isfinite(log.reference_position), axis=1)
-        if good.sum() < LIMITS.fewest:
+        if good.sum() < LIMITS.min_samples:
             return None
         pairs.append(_Pair(log.t[good], log.planned_position[good], log.reference_position[good]))
     before = _rms([pair.executed - pair.planned for pair in pairs])
@@ -109,7 +109,7 @@ class _Pair:
 
         cuts = np.searchsorted(self.time, self.starts)
         return [
-            (time, planned, CubicSpline(time, planned) if len(time) >= LIMITS.fewest else None)
+            (time, planned, CubicSpline(time, planned) if len(time) >= LIMITS.min_samples else None)
             for time, planned in zip(np.split(self.time, cuts), np.split(self.planned, cuts), strict=True)
         ]
 

@@ -16,7 +16,7 @@ from agent.model import regime_masks, standstill_speed
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
 
 _RESAMPLED = 200  # numerical: draws of a bootstrap
-_ENDS = (1 - LAW.certain, LAW.certain)
+_ENDS = (1 - LAW.confidence, LAW.confidence)
 _REPEATS = 3  # turns of a motor that show its phase, and parts of a log without cycles
 _PHASES = 12  # numerical: of a motor's turn
 
@@ -129,7 +129,7 @@ def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:
 
 def _block_numbers(dataset: Dataset) -> np.ndarray:
     """(S,) number of the second of its log that each row lies in."""
-    within = (dataset.time / LIMITS.block).astype(int)
+    within = (dataset.time / LIMITS.segment_duration).astype(int)
     return np.unique(np.column_stack([dataset.log, within]), axis=0, return_inverse=True)[1].ravel()
 
 

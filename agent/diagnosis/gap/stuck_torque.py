@@ -82,7 +82,7 @@ def stuck_torque(dataset: Dataset, fitted: Fit) -> StuckTorque | None:
         stretches = _of_joint(dataset, joint, by_model, excess[:, joint], error)
         energy = sum(stretch.energy for stretch in stretches)
         torque = np.sqrt(max(energy, 0.0) / len(excess)) * background / fit.reference.scale[joint]
-        if torque < LAW.practical or energy < LIMITS.majority * whole:
+        if torque < LAW.least_named_torque or energy < LIMITS.majority * whole:
             continue
         large = [s for s in stretches if s.energy > LIMITS.negligible * max(s.energy for s in stretches)]
         if sum(stretch.duration for stretch in large) < 2 * LIMITS.row_correlation_time:  # less may be chance
@@ -121,7 +121,7 @@ def _of_joint(
         assert log.effort is not None
         inside = (log.t >= time[0]) & (log.t <= time[-1])
         stamps, torque = log.t[inside], log.effort[inside, joint]
-        if len(stamps) < LIMITS.fewest:
+        if len(stamps) < LIMITS.min_samples:
             continue
         rests = np.interp(stamps, time, dataset.fit.near_rest[rows, joint].astype(float)) > 0
         flags = _stands_still(stamps, torque, np.interp(stamps, time, by_model), rests, error)
@@ -148,7 +148,7 @@ def _stands_still(
         for column in (torque - torque.mean(), (torque - torque.mean()) ** 2, moving, moving * predicted)
     )
     for half in sorted({int(window * rate / 2) for window in _WINDOWS}):
-        if 2 * half < LIMITS.fewest or 2 * half >= len(time):
+        if 2 * half < LIMITS.min_samples or 2 * half >= len(time):
             continue
         a = np.arange(len(time) + 1 - 2 * half)
         b, c = a + half, a + 2 * half
@@ -161,9 +161,15 @@ def _stands_still(
         mean = (of_torque[c] - of_torque[a]) / (2 * half)
         spread = (of_square[c] - of_square[a]) / (2 * half) - mean**2
         error = noise * np.sqrt(2 / half)
-        should = enough & (np.abs(expected) > LIMITS.deviations * max(2 * error, background))
-        flat = spread <= noise**2 * (1 + LIMITS.deviations / np.sqrt(half)) + 1e-12 * of_square[-1] / len(time)
-        flat_here = should & flat & (np.abs(change) < LIMITS.negligible * np.abs(expected) + LIMITS.deviations * error)
+        should = enough & (np.abs(expected) > LIMITS.significant_deviations * max(2 * error, background))
+        flat = spread <= noise**2 * (1 + LIMITS.significant_deviations / np.sqrt(half)) + 1e-12 * of_square[-1] / len(
+            time
+        )
+        flat_here = (
+            should
+            & flat
+            & (np.abs(change) < LIMITS.negligible * np.abs(expected) + LIMITS.significant_deviations * error)
+        )
         np.add.at(starts, a[flat_here], 1)
         np.add.at(starts, c[flat_here], -1)
     return np.cumsum(starts)[:-1] > 0
@@ -175,7 +181,7 @@ def _noise(torque: np.ndarray) -> float:
     median = float(np.median(change))
     if median > 0:
         return median / (_QUARTILE * np.sqrt(2))
-    usual = change[change <= LIMITS.deviations * np.quantile(change, LAW.certain)]
+    usual = change[change <= LIMITS.significant_deviations * np.quantile(change, LAW.confidence)]
     return float(np.sqrt(np.mean(usual**2) / 2))
 
 

@@ -79,7 +79,7 @@ def closure(before: np.ndarray, worse: np.ndarray, better: np.ndarray, floor: np
     """(W² − A²) / (B² − F²) of errors per joint (n,), `worse` W to `better` A; None where there is nothing to close."""
     b = np.mean(before**2)
     f = 0.0 if floor is None else float(np.mean(floor**2))
-    if b < LIMITS.alike**2 * f or b <= 0:
+    if b < LIMITS.equal_ratio**2 * f or b <= 0:
         return None
     return float((np.mean(worse**2) - np.mean(better**2)) / (b - f))
 
@@ -123,11 +123,11 @@ def _floor(
         time, rows = dataset.time[here], remaining[here]
         good = ~np.isnan(rows[:, 0])
         time, rows = time[good], rows[good]
-        if len(time) < LIMITS.fewest:
+        if len(time) < LIMITS.min_samples:
             continue
         for a, b in pairwise(starts):
             at = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
-            if len(at) < LIMITS.fewest:
+            if len(at) < LIMITS.min_samples:
                 continue
             first = np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
             second = np.stack([np.interp(at + b - a, time, column) for column in rows.T], axis=1)

@@ -151,7 +151,7 @@ def _sliding_rmse(fit: Fit, error: np.ndarray) -> np.ndarray:
     count = slides.sum(axis=0)
     sliding = np.sqrt(np.sum(np.where(slides, error, 0.0) ** 2, axis=0) / np.maximum(count, 1))
     least = LIMITS.least_background * fit.reference.scale
-    return np.where(count < LIMITS.fewest, most, np.clip(sliding, np.minimum(least, most), most))
+    return np.where(count < LIMITS.min_samples, most, np.clip(sliding, np.minimum(least, most), most))
 
 
 def _shown(fit: Fit, parts: Sequence[tuple[Fit, slice]]) -> tuple[Sequence[Candidate], list[_Shown]]:

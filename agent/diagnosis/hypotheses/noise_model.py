@@ -137,7 +137,7 @@ class NoiseModel:
         return (
             max(scale, self._least_scale[joint]) * law.systematic**2
             + (law.drift * unit) ** 2
-            + min(law.form**2 * form, _FORM)
+            + min(law.form_error**2 * form, _FORM)
             + (free.get(joint, 0.0) * unit) ** 2
         )
 

@@ -112,13 +112,13 @@ def _priors(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> dict[frozens
         _log_healthy(size, evidence.usual.get(key), evidence.distance_from_baseline(hypothesis, k))
         for k, (key, size) in enumerate(sizes)
     ]
-    each = float(np.log((1 - LAW.rare) / len(CATALOGUE)))
+    each = float(np.log((1 - LAW.unlikely) / len(CATALOGUE)))
     for faulty in product((True, False), repeat=len(effect_keys)):
         faults = frozenset(compress(effect_keys, faulty))
         log = sum(h for h, fault in zip(healthy, faulty, strict=True) if not fault)
         log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in sorted(faults))
-        log += len(hypothesis.free) * np.log(LAW.rare / evidence.joints)
-        log += max(len(faults) + len(hypothesis.free) - 1, 0) * np.log(LAW.rare)
+        log += len(hypothesis.free) * np.log(LAW.unlikely / evidence.joints)
+        log += max(len(faults) + len(hypothesis.free) - 1, 0) * np.log(LAW.unlikely)
         if np.isfinite(log):
             priors[faults] = float(log)
     return priors
@@ -155,7 +155,11 @@ Statement = tuple[frozenset[EffectKey], frozenset[int]]
 
 def _shares(hypothesis: Hypothesis) -> dict[Statement, float]:
     """Probability of a hypothesis by statement."""
-    large = {p for p, torque in zip(hypothesis.effect_keys, hypothesis.torque, strict=True) if torque >= LAW.practical}
+    large = {
+        p
+        for p, torque in zip(hypothesis.effect_keys, hypothesis.torque, strict=True)
+        if torque >= LAW.least_named_torque
+    }
     shares: dict[Statement, float] = {}
     for faults, share in hypothesis.shares.items():
         statement = faults & large, frozenset(hypothesis.free)
@@ -198,6 +202,6 @@ def _class_of(
     for (effect_keys, _), share in statements.items():
         for other in sorted(effect_keys - faults) if key not in effect_keys else ():
             instead[other] = instead.get(other, 0.0) + share
-    likely = [other for other, share in instead.items() if share >= LAW.rare * own and share_joints(key, other)]
+    likely = [other for other, share in instead.items() if share >= LAW.unlikely * own and share_joints(key, other)]
     alike = list(dict.fromkeys([*sorted(likely, key=lambda other: -instead[other]), *equal]))[:_RIVALS]
-    return tuple(alike), LAW.certain * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))
+    return tuple(alike), LAW.confidence * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))

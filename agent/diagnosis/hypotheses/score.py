@@ -258,10 +258,10 @@ class Score:
 
     def naming_threshold(self, against_nothing: bool) -> float:
         """Log Bayes factor from which on a name stands alone: over a rival, or over nothing."""
-        law, sure = self.law, self.law.sure / self.law.certain
+        law, sure = self.law, self.law.sure / self.law.confidence
         if not against_nothing:
-            return float(-np.log(law.rare))
-        prior = (1 - law.rare) / len(CATALOGUE) / self.joints
+            return float(-np.log(law.unlikely))
+        prior = (1 - law.unlikely) / len(CATALOGUE) / self.joints
         return float(np.log(sure / (1 - sure) / prior))
 
     def _joint(self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray) -> JointMoments:

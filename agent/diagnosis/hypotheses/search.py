@@ -140,7 +140,7 @@ class Search:
 
     def _extendable(self, depth: int) -> list[EvaluatedHypothesis]:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
-        least, smallest = self.evidence.null_hypothesis.log_evidence, 0.5 * LAW.practical
+        least, smallest = self.evidence.null_hypothesis.log_evidence, 0.5 * LAW.least_named_torque
         level = [
             hypothesis
             for hypothesis in self._found.values()

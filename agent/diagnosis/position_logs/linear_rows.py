@@ -58,7 +58,7 @@ def assemble_positions(
     cell, folds, segment_folds = folds_of(time, log, logs)
     prior = precision_of(servos.prior.covariance), np.zeros(servos.layout.size)
     index = [np.arange(servos.layout.size)] * len(error)
-    block = segments_of(time, log, logs, LIMITS.block)
+    block = segments_of(time, log, logs, LIMITS.segment_duration)
     rests = StandstillWhitening(tuple(() for _ in error))
     of_rows = Fit(reference, signals, rows, index, sigma, *prior, cell, block, folds, segment_folds, rests)
     speed = np.concatenate([s.qd[s.kept] for s in signals])

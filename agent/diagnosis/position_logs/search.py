@@ -119,7 +119,7 @@ def _fitted(
     file = free.numbers
     # of a start that fades with e^(-t / T), what counts as nothing is left
     transient_time = -float(np.log(LIMITS.negligible)) * float(np.max(file.damping / np.maximum(file.kp, 1e-9)))
-    settling = min(transient_time, min(log.t[-1] - log.t[0] for log in logs) / LIMITS.blocks)
+    settling = min(transient_time, min(log.t[-1] - log.t[0] for log in logs) / LIMITS.log_parts)
     stretches = stretches_of(logs, ways[0] == HELD, settling)
     by_equation = numbers_by_equation(reference, file, stretches)
     free = free_of_contacts(free, (file, by_equation), stretches)
@@ -243,7 +243,9 @@ def _nearest(fit: OutputErrorFit, numbers: ServoNumbers) -> float:
     narrower = widest_lag(fit.stretches) * _NARROWER ** np.arange(1, _CUTS)
     best, least = np.inf, error(np.inf)
     for nearest in narrower[narrower >= _nearest_cut(fit.stretches)].tolist():
-        if (here := error(nearest)) > LIMITS.alike**2 * least:  # the error falls towards a cut, and rises beyond it
+        if (
+            here := error(nearest)
+        ) > LIMITS.equal_ratio**2 * least:  # the error falls towards a cut, and rises beyond it
             break
         best, least = (nearest, here) if here < least else (best, least)
     return best
@@ -264,7 +266,7 @@ def _gains(fit: OutputErrorFit, other: OutputErrorFit) -> np.ndarray:
 
 def _by_chance(count: int) -> float:
     """Log-likelihood that `count` numbers which change nothing gain at most, by half a χ² (Wilks)."""
-    return float(chdtri(count, 1 - LAW.certain)) / 2
+    return float(chdtri(count, 1 - LAW.confidence)) / 2
 
 
 def _frame(stretches: Sequence[CommandedStretch]) -> float:

@@ -156,7 +156,7 @@ def _right(diagnosis: Diagnosis, first: _Side, second: _Side, information: np.nd
     unit = 1 / np.sqrt(np.diag(matrix))
     taken = cross @ (unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * cross))
     gain = max(0.5 * float(true @ information @ true - taken), 1e-9)
-    return float(ndtr((gain + np.log(LAW.rare)) / np.sqrt(2 * gain)))
+    return float(ndtr((gain + np.log(LAW.unlikely)) / np.sqrt(2 * gain)))
 
 
 def _of_logs(diagnosis: Diagnosis, forms: Sequence[Candidate]) -> np.ndarray:

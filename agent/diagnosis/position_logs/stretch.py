@@ -205,7 +205,7 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
         known = np.all(np.isfinite(r), axis=1)
         for start, stop in log.segments:
             rows = np.flatnonzero(known[start:stop]) + start
-            if len(rows) < LIMITS.fewest or len(rows) < stop - start - 2:
+            if len(rows) < LIMITS.min_samples or len(rows) < stop - start - 2:
                 continue
             t, q = log.t[rows], log.position[rows]
             steps = np.array([rounding_step(column) for column in q.T])
@@ -213,12 +213,12 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
             speed = np.where(moves, q[1] - q[0], 0.0) / (t[1] - t[0])
             command, begins = RecordedCommand(t, r[rows], held), np.concatenate([q[0], speed])
             stretch = CommandedStretch(index, t, q, command, begins, int(np.searchsorted(t, t[0] + settling)))
-            if len(t) - stretch.unsettled >= LIMITS.fewest * stretch.frames:
+            if len(t) - stretch.unsettled >= LIMITS.min_samples * stretch.frames:
                 stretches.append(stretch)
     if not stretches:
         raise InputError(
-            f"{logs[0].path}: no stretch of {LIMITS.fewest * LIMITS.row_correlation_time:g} s after the servos have "
-            "settled has positions and set-points on the same stamps; record longer, and record what "
+            f"{logs[0].path}: no stretch of {LIMITS.min_samples * LIMITS.row_correlation_time:g} s after the servos "
+            "have settled has positions and set-points on the same stamps; record longer, and record what "
             "was commanded together with the positions"
         )
     return tuple(stretches)
@@ -262,7 +262,7 @@ def lost_frames(stretches: Sequence[CommandedStretch], residuals: Sequence[np.nd
         frame = float(np.median(np.diff(stretch.time)))
         speed = np.gradient(stretch.position, stretch.time, axis=0)[stretch.judged]
         lags = []
-        for part in np.array_split(np.arange(len(residual)), LIMITS.blocks):
+        for part in np.array_split(np.arange(len(residual)), LIMITS.log_parts):
             energy = float(np.sum(speed[part] ** 2))
             lags.append(float(np.sum(residual[part] * speed[part])) / energy if energy > 0 else 0.0)
         count += sum(abs(b - a) > 0.5 * frame for a, b in pairwise(lags))

@@ -166,7 +166,7 @@ def assemble(
     else:
         prior = physical_prior(observation, model.terms, _links(model))
         precision, prior_information = prior.precision, prior.precision @ (prior.mean - model.values)
-    block = segments_of(time, log, logs, LIMITS.block)
+    block = segments_of(time, log, logs, LIMITS.segment_duration)
     fit = Fit(reference, signals, joined, index, sigma, precision, prior_information, cell, block, folds, segment_folds)
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(robot, model, has_reference, fit, residual, speed, time, log, tuple(logs), rate, cutoff)

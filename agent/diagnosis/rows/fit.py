@@ -144,7 +144,7 @@ class Fit:
 
     def beyond_chance(self, error: np.ndarray) -> np.ndarray:
         """(n,) bool: where an error (n,) [N·m] is no chance, whatever explains it."""
-        return np.asarray(error >= LIMITS.deviations * self.sigma.min(axis=0))
+        return np.asarray(error >= LIMITS.significant_deviations * self.sigma.min(axis=0))
 
     def with_reference(self, reference: NominalModel) -> Fit:
         """The same data without effects, whose columns are then made at other numbers of the model."""

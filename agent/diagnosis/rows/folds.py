@@ -59,7 +59,7 @@ def part_borders(log: Log, least: int = 1) -> np.ndarray:
     """(parts - 1,) [s] between the parts of a log that says it has some, or the `least` that it is to have: all have
     the same time in motion."""
     stated_parts = log.metadata.get(PARTS, "1")
-    parts = max(min(int(stated_parts), LIMITS.blocks) if stated_parts.isdigit() else 1, least)
+    parts = max(min(int(stated_parts), LIMITS.log_parts) if stated_parts.isdigit() else 1, least)
     if parts < 2:
         return np.empty(0)
     speed = np.abs(np.diff(log.position, axis=0))
@@ -79,9 +79,9 @@ def _blocks(time: np.ndarray, log: Log) -> tuple[np.ndarray, list[str]]:
         )
     inside = starts[(starts > first) & (starts < last)]
     if len(inside) >= 2:
-        borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), LIMITS.blocks)).astype(int)]
+        borders = inside[np.linspace(0, len(inside) - 1, min(len(inside), LIMITS.log_parts)).astype(int)]
     else:
-        borders = np.linspace(first, last, LIMITS.blocks + 1)[1:-1]
+        borders = np.linspace(first, last, LIMITS.log_parts + 1)[1:-1]
     group = np.searchsorted(borders, time)
     guard = np.min(np.abs(time[:, None] - borders[None, :]), axis=1) < 2 * LIMITS.row_correlation_time
     edges = [first, *borders, last]

@@ -51,7 +51,7 @@ def causes_of_numbers(
     else is fitted again, not what they close by themselves, of which others would take a part. `gap` is that of the
     simulator as given.
     """
-    names, probability = released.given.robot.joint_names, LAW.certain * min(gap.closure or 0.0, 1.0)
+    names, probability = released.given.robot.joint_names, LAW.confidence * min(gap.closure or 0.0, 1.0)
     like_load = (NamedEffect(NAMES[FileNumbers.LOAD], ()),) if _may_be_load(released, selected.causes, gap) else ()
 
     def closes(*groups: Group) -> float | None:
@@ -124,7 +124,7 @@ def _links(released: ReleasedSimulator) -> dict[str, float]:
     """Changes of base parameters by more than chance, what makes most of the torque first."""
     model, base = released.given.model, len(released.given.model.independent)
     change = released.moved.fit.change[:base]
-    known = np.abs(change) > LIMITS.deviations * model.standard_deviations[:base]
+    known = np.abs(change) > LIMITS.significant_deviations * model.standard_deviations[:base]
     torque = change**2 * np.diagonal(released.given.fit.gram.sum(axis=0))[:base]
     return {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
 
@@ -205,7 +205,7 @@ def _like_offset(
 
     def as_little(fit: Fit) -> bool:
         error = rms(gap.beyond(fit.held_out()))[joint]
-        return bool(error <= LIMITS.alike * gap.rmse_after[joint])
+        return bool(error <= LIMITS.equal_ratio * gap.rmse_after[joint])
 
     fit = released_fit(released.given, others)
     with_zero = fit.with_chosen((*causes, *fit.candidates([(zero, (joint,), {})])))

@@ -114,7 +114,7 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[Servo
     values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0]).table
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     free = servo_numbers(dataset, drives, wide.fitted()[0]).table
-    p, normal = len(dataset.stored_covariance), float(ndtri((1 + LAW.certain) / 2))
+    p, normal = len(dataset.stored_covariance), float(ndtri((1 + LAW.confidence) / 2))
     covariance = explanation.search.evidence.covariance(wide)
     spread = normal * _deviations(dataset, drives, covariance[:p, :p], free, form)
     for folds in (wide.folds, wide.segment_folds):
