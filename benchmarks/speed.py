@@ -82,7 +82,7 @@ def candidate_ms() -> dict[str, float]:
     """In a process of its own, with the agent of the tree it runs in: mean CPU [ms] of the parts."""
     from agent.core import one_blas_thread
     from agent.excitation import Candidates, Criterion
-    from agent.excitation.loop_search import Scorer
+    from agent.excitation.scoring import Scorer
     from agent.pipeline.planning.plan import loop_problem
     from agent.recipe import load_recipe
 

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import pickle
-import threading
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,11 +12,10 @@ import numpy as np
 from agent.core import InProcess, InputError, LocalProcesses, TaskEngine, available_cores, one_blas_thread
 from agent.excitation.candidates import Candidates, Loop, LoopProblem
 from agent.excitation.genetic import METHODS, LoopScore, ranking
+from agent.excitation.scoring import PopulationScorer
 
 #: Starting another process costs as much as scoring this many candidates.
 _CANDIDATES_A_WORKER = 250
-#: Candidates in one task, at most: enough to share work, few enough that a generation feeds many workers.
-_TOGETHER = 7
 #: Best candidates that are scored again on all samples.
 FINALISTS = 10
 
@@ -99,7 +94,7 @@ def search(
     with nullcontext(engine) if engine is not None else _processes(population * generations) as scoring:
         candidates = Candidates(problem)
         rng = np.random.default_rng(seed)
-        evaluate = partial(_evaluate, scoring, Scorer(problem))
+        evaluate = PopulationScorer(problem, scoring).scores
         METHODS[method](evaluate, problem.genes, population, generations, rng, history.note)
     with one_blas_thread():
         genome, fitness, finalists = _final(candidates, history)
@@ -161,34 +156,3 @@ def _no_loop_text(best: LoopScore, count: int) -> str:
 def _processes(candidates: int) -> InProcess | LocalProcesses:
     count = min(available_cores(), 1 + candidates // _CANDIDATES_A_WORKER)
     return InProcess() if count == 1 else LocalProcesses(count)
-
-
-def _evaluate(engine: TaskEngine, scorer: Scorer, genomes: np.ndarray) -> list[LoopScore]:
-    """Scores of genomes (N, genes), in their order."""
-    together = np.array_split(genomes, -(-len(genomes) // _TOGETHER))
-    scores: dict[int, list[LoopScore]] = {}
-    for done in engine.map(scorer, together):
-        if done.answer is None:
-            raise RuntimeError(f"the search: {done.lost}")
-        scores[done.number] = done.answer
-    return [score for number in range(len(together)) for score in scores[number]]
-
-
-#: What this thread built last, and for which problem: `key`, `candidates`.
-_built = threading.local()
-
-
-class Scorer:
-    """Scores genomes (N, genes), in any thread of any process; each builds robot, interpolator and criterion once."""
-
-    def __init__(self, problem: LoopProblem):
-        self._problem = problem
-        self._key = hashlib.sha256(pickle.dumps(problem)).digest()
-
-    def __call__(self, genomes: np.ndarray) -> list[LoopScore]:
-        """Their scores, in their order."""
-        if getattr(_built, "key", None) != self._key:
-            _built.candidates = Candidates(self._problem)
-            _built.key = self._key
-        with one_blas_thread():
-            return _built.candidates.scores(genomes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,6 +23,17 @@ class LoopMotion:
     loop: Loop
     speed: float
     cycles: int
+
+    @classmethod
+    def excitation(cls, recipe: Recipe, loop: Loop) -> LoopMotion:
+        """The loop that the model is estimated from."""
+        return cls(recipe, "excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
+
+    @classmethod
+    def validation(cls, recipe: Recipe, loops: Sequence[Loop]) -> tuple[LoopMotion, ...]:
+        """The loops that the model is judged on, each once and at their own speed."""
+        speed = recipe.validate.speed
+        return tuple(cls(recipe, f"valid{k:02d}", "validation", loop, speed, 1) for k, loop in enumerate(loops, 1))
 
     @cached_property
     def program(self) -> str:

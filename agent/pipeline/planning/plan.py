@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,7 +66,7 @@ def make_plan(recipe: Recipe, console: Console) -> Plan:
     """
     excitation, search = search_loop(recipe, console)
     console.step(f"drawing {recipe.validate.motions} validation motions at {recipe.validate.speed:g} m/s")
-    return Plan(excitation, search, tuple(_validation(recipe, _draw_validation(recipe, console))))
+    return Plan(excitation, search, LoopMotion.validation(recipe, _draw_validation(recipe, console)))
 
 
 def search_loop(
@@ -105,7 +104,7 @@ def search_loop(
     loop = result.loop
     duration = loop.trajectory.duration
     console.say(f"  fitness {result.fitness:.2f} from {result.evaluated} candidates; a cycle takes {duration:.1f} s")
-    motion = _excitation(recipe, loop)
+    motion = LoopMotion.excitation(recipe, loop)
     keep_loop(recipe, loop.genome, loop.poses, loop.start, result.fitness, motion.name, motion.program)
     return motion, result.to_dict()
 
@@ -137,19 +136,10 @@ def replan(recipe: Recipe, path: Path) -> Plan:
         fast, slow = (Candidates(loop_problem(recipe, speed)) for speed in (recipe.motion.speed, recipe.validate.speed))
         loop = fast.loop(np.array(stored["search"]["genome"]))
         validation = [slow.loop(np.array(genome)) for genome in stored["validation"]]
-        return Plan(_excitation(recipe, loop), stored["search"], tuple(_validation(recipe, validation)))
+        return Plan(LoopMotion.excitation(recipe, loop), stored["search"], LoopMotion.validation(recipe, validation))
     except (InputError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         what = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
         raise InputError(f"{path}: no plan for this recipe ({what}); start a new run") from None
-
-
-def _excitation(recipe: Recipe, loop: Loop) -> LoopMotion:
-    return LoopMotion(recipe, "excite", "excitation", loop, recipe.motion.speed, recipe.record.cycles)
-
-
-def _validation(recipe: Recipe, loops: Sequence[Loop]) -> Iterator[LoopMotion]:
-    for number, loop in enumerate(loops, 1):
-        yield LoopMotion(recipe, f"valid{number:02d}", "validation", loop, recipe.validate.speed, 1)
 
 
 def _draw_validation(recipe: Recipe, console: Console) -> list[Loop]:
