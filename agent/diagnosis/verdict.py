@@ -132,7 +132,7 @@ def name_causes(selected: SelectedCauses, errs: bool = False) -> SelectedCauses:
     cause whose equal by definition was ignored is not named alone: the likeliest other one is its rival. `errs`:
     whether a joint errs by more than a healthy arm does, whatever the noise model explains of it.
     """
-    exceeded = errs or selected.scale >= LIMITS.usual_error**2
+    exceeded = errs or selected.largest_error_ratio >= LIMITS.usual_error**2
     if not exceeded and selected.healthy > 1 - LAW.confidence:
         return selected.without_causes(leaves_gap=False)
     sure = [k for k, probability in enumerate(selected.probability) if probability >= LAW.sure]

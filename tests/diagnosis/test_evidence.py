@@ -54,7 +54,7 @@ def test_an_effect_of_the_healthy_arm_is_not_named(robot, model):
     fit = fit_of(robot, model, [OFFSET])
     found = {cause.key for cause in name_causes(Search(fit).run()).causes}
     assert found
-    forms = [form for batch in Search(fit).forms() for form in batch if form.key in found]
+    forms = [form for batch in Search(fit).candidates() for form in batch if form.key in found]
     usual = [HealthyForm(form, np.full(len(form.names), 6.0)) for form in forms]  # N·m, as large as the effect
     again = name_causes(Search(fit, healthy=usual).run())
     assert not {cause.key for cause in again.causes} & found

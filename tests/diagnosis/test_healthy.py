@@ -101,7 +101,7 @@ def test_a_joint_whose_logs_would_not_have_shown_what_another_has_may_have_as_mu
     log = SimpleNamespace(
         gains=np.array([5.0, -3.0, -3.0]),
         torque=np.array([0.01 / np.sqrt(3), 0.0, 0.0]),
-        hidden=np.full(3, hidden),
+        detection_limit=np.full(3, hidden),
         rms=[np.ones(1)] * 3,
         values=[np.zeros(1)] * 3,
     )

@@ -178,13 +178,13 @@ def case(request):
 
 
 def same(seen, written) -> None:
-    assert (seen.effects, seen.free) == written.of
+    assert (seen.effects, seen.uncatalogued_sizes) == written.of
     assert seen.log_evidence == pytest.approx(written.log, abs=5e-4)
     np.testing.assert_allclose(seen.scales, written.scales, rtol=1e-5)
     np.testing.assert_allclose(seen.mean, written.mean, rtol=1e-4, atol=5e-3)
     np.testing.assert_allclose(np.concatenate([*seen.values, [0]]), [*written.mean[5:], 0], rtol=1e-4, atol=1e-6)
-    assert list(seen.torque) == [pytest.approx(one, rel=1e-3) for one in written.torque]
-    assert seen.largest == pytest.approx([max(one.values()) for one in written.torque], rel=1e-3)
+    assert list(seen.torque_per_joint) == [pytest.approx(one, rel=1e-3) for one in written.torque]
+    assert seen.largest_torque == pytest.approx([max(one.values()) for one in written.torque], rel=1e-3)
     assert seen.unexplained == pytest.approx(written.unexplained, rel=1e-4, abs=1e-9)
 
 
@@ -253,7 +253,7 @@ def test_the_smallest_size_that_would_be_named_outweighs_the_prior(case):
     idle = evidence.pool.numbers([replace(written.forms[4], blocks=one) for one in ({}, {0: np.zeros((2 * ROWS, 1))})])
     *sizes, one, other = evidence.smallest_sizes()
     assert (min(one, other) > 1e5, len(sizes)) == (True, len(FORMS))
-    assert [evidence.evaluate([k]).largest for k in idle] == [(0.0,), (0.0,)]
+    assert [evidence.evaluate([k]).largest_torque for k in idle] == [(0.0,), (0.0,)]
     for k, size in enumerate(sizes):
         unit = written.effect(k) / written.rms(k)  # of nominal torque each
         information = unit.T @ np.linalg.solve(base.whole, unit)
@@ -268,7 +268,8 @@ def test_forms_are_known_by_number(case):
     other = synthetic_form(written.fit, shape("hose"), (0,), 2)
     assert known.numbers([written.forms[3], written.forms[1], other]) == [3, 1, size]
     assert (known.size, known.candidate(size)) == (size + 1, other)
-    assert [known.kinds(place) for place in (("hose", (0,)), ("hose", (1,)), ("offset", (1,)))] == [1, 0, 1]
+    count = known.count_parameterisations
+    assert [count(place) for place in (("hose", (0,)), ("hose", (1,)), ("offset", (1,)))] == [1, 0, 1]
     np.testing.assert_allclose(known.unit_torque(other) * known.rms(size), 1 / np.sqrt(2))
     for values, fine in (((0.5, 9.0), True), ((1.5, 0.0), False), ((-2.0, 0.0), False)):
         assert evidence.possible(size, np.array(values)) == fine
@@ -316,7 +317,8 @@ def test_the_noise_model_trusts_no_form_beyond_a_limit_and_has_no_columns_that_t
     energy = WEIGHT * np.sum((written.alike(0, 1) * NOMINAL[1]) ** 2)
     amounts = np.sqrt(np.array([0, 0.0099, 0.0101]) / energy) * NOMINAL[1] / written.size[0][1]
     plain, less, more = (NoiseModel(fit, [], [HealthyForm(written.forms[0], one)], THE_LAW) for one in amounts)
-    assert [[one.width(j)[1] - plain.width(j)[1] for j in range(2)] for one in (less, more)] == [[0, 0], [0, 2]]
+    counts = [[noise.column_counts(j)[1] for j in range(2)] for noise in (plain, less, more)]
+    assert [np.subtract(each, counts[0]).tolist() for each in counts[1:]] == [[0, 0], [0, 2]]
     with patch.object(noise_model, "ROW_SPACING", PERIOD):
         assert NoiseModel(fit, [], (), THE_LAW).rows == len(fit.cell)
     form = [plain.variance(1, 2.0, form, {}) - plain.variance(1, 2.0, 0.0, {}) for form in (39_000.0, 41_000.0)]

@@ -47,20 +47,20 @@ def evaluated(*told, kinds=lambda place: 1, observed=lambda one: 0.0):
     found = [
         SimpleNamespace(
             effects=tuple(effect_keys.index(place) for place in one.effect_keys),
-            free=dict.fromkeys(one.free, 0.1),
+            uncatalogued_sizes=dict.fromkeys(one.free, 0.1),
             log_evidence=1000 + np.log(one.share) - log_prior(one.effect_keys, one.free) - observed(one),
-            largest=one.largest,
+            largest_torque=one.largest,
             unexplained=np.array([0.5e-3, 1.5e-3]) * one.left,
             scales=np.array([0.5, one.scale]),
             told=one,
         )
         for one in told
     ]
-    null = next(one for one in found if not one.effects and not one.free)
-    pool = SimpleNamespace(candidate=candidates.__getitem__, kinds=kinds)
+    null = next(one for one in found if not one.effects and not one.uncatalogued_sizes)
+    pool = SimpleNamespace(candidate=candidates.__getitem__, count_parameterisations=kinds)
     apart = lambda one, which: one.told.apart  # noqa: E731
     return SimpleNamespace(
-        law=LAW, joints=JOINTS, null_hypothesis=null, pool=pool, usual={}, distance_from_baseline=apart
+        law=LAW, dof=JOINTS, null_hypothesis=null, pool=pool, usual={}, distance_from_baseline=apart
     ), found
 
 
@@ -80,11 +80,12 @@ def test_probability_is_evidence_times_prior(observed):
     assert [one.probability for one in seen] == pytest.approx([0.3, 0.25, 0.2, 0.1, 0.1, 0.05])
     assert seen == sorted(seen, key=lambda one: -round(one.probability, 6))
     for one in seen:
-        prior = log_prior(one.effect_keys, one.free) - log_prior((), ())
+        prior = log_prior(one.effect_keys, one.uncatalogued_joints) - log_prior((), ())
         assert one.log_bayes_factor == pytest.approx(np.log(one.probability / 0.1) - prior)
     plain, offset = seen[3], seen[0]
-    assert (plain.explained_share, plain.scale, offset.explained_share, offset.scale) == (0.0, 4.0, 0.75, 1.0)
-    assert (offset.effect_keys, offset.torque, seen[-1].free) == ((OFFSET,), (0.1,), (0, 2))
+    assert (plain.explained_share, plain.largest_error_ratio) == (0.0, 4.0)
+    assert (offset.explained_share, offset.largest_error_ratio) == (0.75, 1.0)
+    assert (offset.effect_keys, offset.largest_torque, seen[-1].uncatalogued_joints) == ((OFFSET,), (0.1,), (0, 2))
 
 
 def test_of_equals_the_one_with_fewer_forms_leads():

@@ -173,7 +173,7 @@ def found_by_a_search(candidates, rivals, scale=1.0, runner_up=()):
     plain = Hypothesis((), (), 0.0, {}, (), 0.0, scale)
     best = Hypothesis(candidates, (), 9.0, {}, (0.1,) * len(candidates), 1.0, 1.0)
     others = (Hypothesis(runner_up, (), 5.0, {}, (0.1,), 1.0, 1.0),) if runner_up else ()
-    evidence, probability = SimpleNamespace(law=LAW, joints=JOINTS), (0.9,) * len(candidates)
+    evidence, probability = SimpleNamespace(law=LAW, dof=JOINTS), (0.9,) * len(candidates)
     hypotheses = (best, *others, plain)
     return name_causes(
         SelectedCauses(_Fit(), _Fit(candidates), candidates, rivals, probability, 1.0, hypotheses, evidence)

@@ -115,7 +115,7 @@ def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evid
     known = np.flatnonzero(np.isfinite(zero.torque))
 
     def log_likelihood(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> float:
-        offset = np.zeros(evidence.joints)
+        offset = np.zeros(evidence.dof)
         for k, values in zip(hypothesis.effects, hypothesis.values, strict=True):
             candidate = evidence.pool.candidate(k)
             if candidate.effect.adds_to_report is not None:

@@ -37,9 +37,9 @@ class Evidence(Score):
     def _shortlist_gains(self, base: EvaluatedHypothesis, block: CandidateBlock) -> tuple[np.ndarray, list[np.ndarray]]:
         schur, side = self._schur(base, block)
         gains, values = np.empty(len(block.candidates)), [np.empty(0)] * len(block.candidates)
-        for width, which in block.alike.items():
-            at = block.first[which][:, None] + np.arange(width)
-            gain, fitted = self._at_best_size(schur[width], side[at], block.rms[at], block.priors[width])
+        for width, which in block.by_width.items():
+            columns = block.first_column[which][:, None] + np.arange(width)
+            gain, fitted = self._at_best_size(schur[width], side[columns], block.rms[columns], block.priors[width])
             for row, number in enumerate(which.tolist()):
                 gains[number] = gain[row] - self.cost(block.candidates[number])
                 values[number] = fitted[row]
@@ -47,29 +47,29 @@ class Evidence(Score):
 
     def _schur(self, base: EvaluatedHypothesis, block: CandidateBlock) -> tuple[dict[int, np.ndarray], np.ndarray]:
         """Per number of parameters k the information (N, k, k) on candidates beyond a hypothesis; (K,) their side."""
-        size = int(block.first[-1])
+        size = int(block.first_column[-1])
         cross, side = np.zeros((len(base.precision), size)), np.zeros(size)
-        own = {width: np.zeros((len(which), width, width)) for width, which in block.alike.items()}
-        for j, joint in enumerate(base.joints):
-            at = block.parameters[j]
-            if not len(at):
+        information = {width: np.zeros((len(which), width, width)) for width, which in block.by_width.items()}
+        for j, joint in enumerate(base.joint_moments):
+            columns = block.parameters[j]
+            if not len(columns):
                 continue
-            (width, free), scale, moments = self.noise.width(j), base.scales[j], block.moments[j]
-            reach = joint.root.solved(moments[width : width + free]) / scale
-            others = [self.pool.products_with(k, block, j) for k in joint.effects]
-            cross[np.ix_(joint.at, at)] += np.vstack([moments[:width], *others]) / scale - joint.half[:, :-1].T @ reach
-            side[at] += moments[-1] / scale - joint.half[:, -1] @ reach
-            for k, which in block.alike.items():
-                place = block.column_index[j, block.first[which]]
+            (of_model, of_noise), scale, moments = self.noise.column_counts(j), base.scales[j], block.moments[j]
+            reach = joint.root.solved(moments[of_model : of_model + of_noise]) / scale
+            products = np.vstack([moments[:of_model], *(self.pool.products_with(k, block, j) for k in joint.effects)])
+            cross[np.ix_(joint.parameter_index, columns)] += products / scale - joint.half[:, :-1].T @ reach
+            side[columns] += moments[-1] / scale - joint.half[:, -1] @ reach
+            for width, which in block.by_width.items():
+                place = block.column_index[j, block.first_column[which]]
                 here = np.flatnonzero(place >= 0)
-                part = reach[:, place[here][:, None] + np.arange(k)].transpose(1, 0, 2)
-                own[k][here] += block.own[k][here, j] / scale - part.transpose(0, 2, 1) @ part
+                part = reach[:, place[here][:, None] + np.arange(width)].transpose(1, 0, 2)
+                information[width][here] += block.own_moments[width][here, j] / scale - part.transpose(0, 2, 1) @ part
         unit = 1 / np.sqrt(np.diag(base.precision))
         half = solved_lower(scaled_cholesky(base.precision, unit), unit[:, None] * cross)
-        for width, which in block.alike.items():
-            part = half[:, block.first[which][:, None] + np.arange(width)].transpose(1, 0, 2)
-            own[width] -= part.transpose(0, 2, 1) @ part
-        return own, side - cross.T @ base.mean
+        for width, which in block.by_width.items():
+            part = half[:, block.first_column[which][:, None] + np.arange(width)].transpose(1, 0, 2)
+            information[width] -= part.transpose(0, 2, 1) @ part
+        return information, side - cross.T @ base.mean
 
     def smallest_sizes(self) -> list[float]:
         """Return per candidate the smallest torque over nominal, root mean square, that would be named.
@@ -81,9 +81,9 @@ class Evidence(Score):
         for block in self.pool.blocks:
             schur, _ = self._schur(expected, block)
             sizes = np.empty(len(block.candidates))
-            for width, which in block.alike.items():
-                at = block.first[which][:, None] + np.arange(width)
-                unit = 1 / (block.rms[at] * np.sqrt(width))
+            for width, which in block.by_width.items():
+                columns = block.first_column[which][:, None] + np.arange(width)
+                unit = 1 / (block.rms[columns] * np.sqrt(width))
                 information = np.maximum(np.einsum("nk,nkl,nl->n", unit, schur[width], unit), 1e-12)
                 cost = np.array([self.cost(block.candidates[k]) + self.naming_threshold(True) for k in which])
                 usual = self.law.sizes[1] ** 2 * width * unit[:, :, None] * schur[width] * unit[:, None, :]
@@ -92,16 +92,16 @@ class Evidence(Score):
             smallest += sizes.tolist()
         return smallest
 
-    def information(self, forms: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the information (m, m) of the logs on the parameters of the model and of forms, given the noise model.
+    def information(self, candidates: Sequence[Candidate]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the information (m, m) of the logs on parameters of model and candidates, given the noise model.
 
-        Also return the prior precision (m, m), with forms of the largest usual size, and where the parameters of each
-        form begin and end. The scales are those without effects.
+        Also return the prior precision (m, m), with candidates of the largest usual size, and where the parameters of
+        each begin and end. The scales are those without effects.
         """
-        numbers = self.pool.numbers(forms)
-        ends = len(self.prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+        numbers = self.pool.numbers(candidates)
+        ends = len(self.prior) + np.cumsum([0, *(len(candidate.names) for candidate in candidates)])
         prior = block_diag(self.prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
-        return self._information(forms, np.minimum(self.null_hypothesis.scales, 1.0)), prior, ends
+        return self._information(candidates, np.minimum(self.null_hypothesis.scales, 1.0)), prior, ends
 
     def covariance(self, fit: Fit) -> np.ndarray:
         """Return the covariance (m, m) of the parameters of a fit of these logs, given the noise model.
@@ -114,27 +114,29 @@ class Evidence(Score):
         half = solved_lower(scaled_cholesky(matrix, unit), np.diag(unit))
         return np.asarray(half.T @ half)
 
-    def _information(self, forms: Sequence[Candidate], scales: np.ndarray) -> np.ndarray:
-        numbers = self.pool.numbers(forms)
-        ends = len(self.prior) + np.cumsum([0, *(len(form.names) for form in forms)])
+    def _information(self, candidates: Sequence[Candidate], scales: np.ndarray) -> np.ndarray:
+        numbers = self.pool.numbers(candidates)
+        ends = len(self.prior) + np.cumsum([0, *(len(candidate.names) for candidate in candidates)])
         total = np.zeros((int(ends[-1]),) * 2)
-        for j in range(self.joints):
-            on_joint = [number for number, form in enumerate(forms) if j in form.blocks]
-            at = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in on_joint)]).astype(int)
+        for j in range(self.dof):
+            on_joint = [number for number, candidate in enumerate(candidates) if j in candidate.blocks]
+            index = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in on_joint)]).astype(int)
             variance = self.noise.variance(j, float(scales[j]), 0.0, {})
-            joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in on_joint), at)
-            total[np.ix_(at, at)] += joint.reduced[:-1, :-1]
+            joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in on_joint), index)
+            total[np.ix_(index, index)] += joint.reduced[:-1, :-1]
         return total
 
-    def information_of_rows(self, joint: int, rows: np.ndarray, free: np.ndarray, step: float) -> np.ndarray:
+    def information_of_rows(self, joint: int, rows: np.ndarray, noise: np.ndarray, step: float) -> np.ndarray:
         """Information (k, k) of further rows (S, k) of a joint, given the noise model.
 
-        Rows are divided by σ and `step` [s] apart; `free` (S, m) are the noise model's columns on them, divided by σ.
+        Rows are divided by σ and `step` [s] apart; `noise` (S, m) are the noise model's columns on them, divided by σ.
         """
         scale, weight = min(float(self.null_hypothesis.scales[joint]), 1.0), step / self.law.error_correlation_time
-        square = free.T @ free * weight
-        lower = np.linalg.cholesky(np.eye(len(square)) / self.noise.variance(joint, scale, 0.0, {}) + square / scale)
-        half = solved_lower(lower, free.T @ rows * weight) / scale
+        products = noise.T @ noise * weight
+        lower = np.linalg.cholesky(
+            np.eye(len(products)) / self.noise.variance(joint, scale, 0.0, {}) + products / scale
+        )
+        half = solved_lower(lower, noise.T @ rows * weight) / scale
         return np.asarray(rows.T @ rows * weight / scale - half.T @ half)
 
     def _at_best_size(

@@ -48,8 +48,8 @@ def with_healthy_effects(
     learned = [_judged(model, held_out)] if held_out else []
     learned += [_left_out(model, baseline)] if len(baseline) > 1 else []
     largest: dict[EffectKey, tuple[float, list[HealthyEffect]]] = {}
-    for _, forms, shown in learned:
-        for key, (size, entries) in _effects(forms, shown, model.robot.joint_names).items():
+    for _, candidates, shown in learned:
+        for key, (size, entries) in _effects(candidates, shown, model.robot.joint_names).items():
             if size >= largest.get(key, (0.0, []))[0]:
                 largest[key] = size, entries
     healthy = [entry for _, entries in largest.values() for entry in entries]
@@ -75,8 +75,8 @@ def _halves(log: Log) -> list[Log]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
-    """What one log, or some together, show of each form: gain (N,), parameters (k,) each, torque (N,) over nominal, and
+class LogEvidence:
+    """What one log, or some together, show of each candidate: gain (N,), parameters (k,), torque (N,) over nominal, and
     root mean square (k,) of the torque over nominal of a unit of each parameter."""
 
     evidence: Evidence
@@ -86,7 +86,7 @@ class _Shown:
     rms: list[np.ndarray]
 
     @classmethod
-    def of(cls, evidence: Evidence) -> _Shown:
+    def of(cls, evidence: Evidence) -> LogEvidence:
         pool = evidence.pool
         gains, values = evidence.shortlist_gains(evidence.null_hypothesis)
         torque = [max(pool.torque(k, parameters).values(), default=0.0) for k, parameters in enumerate(values)]
@@ -98,16 +98,16 @@ class _Shown:
         return np.minimum(self.evidence.null_hypothesis.scales, 1.0)
 
     @cached_property
-    def hidden(self) -> np.ndarray:
-        """(N,) torque over nominal up to which each form may be there unnoticed."""
+    def detection_limit(self) -> np.ndarray:
+        """(N,) torque over nominal up to which each candidate may be there unnoticed."""
         return np.array(self.evidence.smallest_sizes())
 
 
-#: Error (n,) [N·m] of the model while joints slide, all forms, and what logs show of them.
-_Learned = tuple[np.ndarray, Sequence[Candidate], list[_Shown]]
+#: Error (n,) [N·m] of the model while joints slide, all candidates, and what logs show of them.
+LearnedErrors = tuple[np.ndarray, Sequence[Candidate], list[LogEvidence]]
 
 
-def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> _Learned:
+def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> LearnedErrors:
     """Logs that the model has not seen, all together."""
     dataset = assemble(model.robot, model, logs, model.cutoff)
     sliding = _sliding_rmse(dataset.fit, dataset.residual)
@@ -115,7 +115,7 @@ def _judged(model: IdentifiedModel, logs: Sequence[Log]) -> _Learned:
     return sliding, *_shown(fit, [(fit, slice(None))])
 
 
-def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> _Learned:
+def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> LearnedErrors:
     """Each log under parameters that were fitted to the others."""
     fit = assemble(model.robot, model, logs, model.cutoff, refitted=True).fit
     sliding = _sliding_rmse(fit, _of_others(fit, len(logs))[0])
@@ -135,8 +135,8 @@ def _of_others(fit: Fit, logs: int) -> tuple[np.ndarray, list[np.ndarray]]:
         cells = np.unique(fit.cell[rows][fit.cell[rows] >= 0])
         folds = [fold for fold in fit.folds if fold.test[cells].any()]
         for fold in reversed(folds):  # a guard between parts of one log goes with the first
-            own = np.isin(fit.cell[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (fit.cell[rows] < 0)
-            residual[rows][own] = fit.remaining(fit.solve(fold.train)[1])[rows][own]
+            judged = np.isin(fit.cell[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (fit.cell[rows] < 0)
+            residual[rows][judged] = fit.remaining(fit.solve(fold.train)[1])[rows][judged]
         precision.append(np.linalg.inv(fit.solve(folds[0].train)[0]))
     return residual, precision
 
@@ -154,24 +154,24 @@ def _sliding_rmse(fit: Fit, error: np.ndarray) -> np.ndarray:
     return np.where(count < LIMITS.min_samples, most, np.clip(sliding, np.minimum(least, most), most))
 
 
-def _shown(fit: Fit, parts: Sequence[tuple[Fit, slice]]) -> tuple[Sequence[Candidate], list[_Shown]]:
-    """All forms, and what each part of the rows shows of them: a part has a fit of its own, and some of the rows."""
-    forms, evidence = list[Candidate](), [Evidence(of_part, (), healthy=()) for of_part, _ in parts]
-    for batch in Search(fit, _TRANSIENT).forms():
+def _shown(fit: Fit, parts: Sequence[tuple[Fit, slice]]) -> tuple[Sequence[Candidate], list[LogEvidence]]:
+    """All candidates, and what each part of the rows shows of them: a part has its fit, and some of the rows."""
+    candidates, evidence = list[Candidate](), [Evidence(of_part, (), healthy=()) for of_part, _ in parts]
+    for batch in Search(fit, _TRANSIENT).candidates():
         for of_part, (_, rows) in zip(evidence, parts, strict=True):
-            of_part.pool.add([form.of_rows(rows) for form in batch])
-        for form in batch:
-            form.release()
-        forms += batch
-    return forms, [_Shown.of(of_part) for of_part in evidence]
+            of_part.pool.add([candidate.of_rows(rows) for candidate in batch])
+        for candidate in batch:
+            candidate.release()
+        candidates += batch
+    return candidates, [LogEvidence.of(of_part) for of_part in evidence]
 
 
 def _effects(
-    forms: Sequence[Candidate], shown: Sequence[_Shown], names: Sequence[str]
+    candidates: Sequence[Candidate], shown: Sequence[LogEvidence], names: Sequence[str]
 ) -> dict[EffectKey, tuple[float, list[HealthyEffect]]]:
-    """Per hypothesis the explained torque over nominal, and one entry for the best form of each kind.
+    """Per hypothesis the explained torque over nominal, and one entry for the best candidate of each kind.
 
-    The torque is the mean square over n - 2 of n logs, each explained by its best form: the variance of Student's
+    The torque is the mean square over n - 2 of n logs, each explained by its best candidate: the variance of Student's
     predictive distribution with n degrees of freedom, as few logs say little about how large an effect can become.
     Drives of an arm follow one law, so a joint that shows nothing may have what the arm has (`_of_the_arm`), up to what
     its logs would have shown.
@@ -179,43 +179,43 @@ def _effects(
     total = np.sum([of_log.gains for of_log in shown], axis=0)
     numbers_of: dict[EffectKey, list[int]] = {}
     for number in np.argsort(-total).tolist():
-        if not forms[number].transient:
-            numbers_of.setdefault(forms[number].key, []).append(number)
-    sizes, known = dict[EffectKey, float](), set[int]()
+        if not candidates[number].transient:
+            numbers_of.setdefault(candidates[number].key, []).append(number)
+    sizes, shown_by_all = dict[EffectKey, float](), set[int]()
     for key, numbers in numbers_of.items():
         best = [(of_log, max(numbers, key=lambda k: of_log.gains[k])) for of_log in shown]
         squares = [of_log.torque[k] ** 2 for of_log, k in best if of_log.gains[k] > 0]
         sizes[key] = float(np.sqrt(sum(squares) / max(len(shown) - 2, 1)))
-        known.update(numbers[:1] if squares and total[numbers[0]] > 0 else [])
+        shown_by_all.update(numbers[:1] if squares and total[numbers[0]] > 0 else [])
 
-    def hidden(key: EffectKey) -> float:
-        return min(float(of_log.hidden[numbers_of[key]].min()) for of_log in shown)
+    def detection_limit(key: EffectKey) -> float:
+        return min(float(of_log.detection_limit[numbers_of[key]].min()) for of_log in shown)
 
     effects = {}
     for key, numbers in numbers_of.items():
         size = sizes[key]
-        if not size and (size := _of_the_arm(key[0], sizes, hidden)):
-            size = min(size, hidden(key))
-        kinds = {tuple(sorted(forms[k].settings)): k for k in reversed(numbers)}.values()
+        if not size and (size := _of_the_arm(key[0], sizes, detection_limit)):
+            size = min(size, detection_limit(key))
+        kinds = {tuple(sorted(candidates[k].settings)): k for k in reversed(numbers)}.values()
         if size > 0:
-            effects[key] = size, [_entry(forms[k], k, shown, size, names, k in known) for k in kinds]
+            effects[key] = size, [_entry(candidates[k], k, shown, size, names, k in shown_by_all) for k in kinds]
     return effects
 
 
-def _of_the_arm(name: str, sizes: Mapping[EffectKey, float], hidden: Callable[[EffectKey], float]) -> float:
+def _of_the_arm(name: str, sizes: Mapping[EffectKey, float], detection_limit: Callable[[EffectKey], float]) -> float:
     """The median size of an effect over the joints.
 
     Of an effect that every arm has a little of, a joint that shows nothing counts only if its logs would have shown the
     largest: what it has is not known otherwise.
     """
-    own = {key: size for key, size in sizes.items() if key[0] == name}
-    largest, usual = max(own.values()), CATALOGUE[name].usual
-    known = [size for key, size in own.items() if size or not usual or hidden(key) < largest]
-    return median_low(known) if largest else 0.0
+    of_effect = {key: size for key, size in sizes.items() if key[0] == name}
+    largest, usual = max(of_effect.values()), CATALOGUE[name].usual
+    informative = [size for key, size in of_effect.items() if size or not usual or detection_limit(key) < largest]
+    return median_low(informative) if largest else 0.0
 
 
 def _entry(
-    form: Candidate, number: int, shown: Sequence[_Shown], size: float, names: Sequence[str], known: bool
+    candidate: Candidate, number: int, shown: Sequence[LogEvidence], size: float, names: Sequence[str], known: bool
 ) -> HealthyEffect:
     """An effect of a size over nominal, which its parameters share alike; with what all logs show if it is `known`."""
     rms = np.sqrt(np.mean([of_log.rms[number] ** 2 for of_log in shown], axis=0))
@@ -225,10 +225,12 @@ def _entry(
     if known and len(shown) > 1:
         each = np.array([of_log.values[number] for of_log in shown])
         deviation = np.sqrt(1 + 1 / len(shown)) * each.std(axis=0, ddof=1)
-        value = dict(zip(form.names, zip(each.mean(axis=0).tolist(), deviation.tolist(), strict=True), strict=True))
-    joints = tuple(names[j] for j in form.joints)
-    amounts = dict(zip(form.names, map(float, amount), strict=True))
-    return HealthyEffect(form.effect.name, joints, dict(form.settings), amounts, value)
+        value = dict(
+            zip(candidate.names, zip(each.mean(axis=0).tolist(), deviation.tolist(), strict=True), strict=True)
+        )
+    joints = tuple(names[j] for j in candidate.joints)
+    amounts = dict(zip(candidate.names, map(float, amount), strict=True))
+    return HealthyEffect(candidate.effect.name, joints, dict(candidate.settings), amounts, value)
 
 
 def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) -> Healthy | None:
@@ -239,14 +241,18 @@ def healthy_on(fit: Fit, model: IdentifiedModel, without: Collection[str] = ()) 
     if not model.healthy:
         return None
     names = list(model.robot.joint_names)
-    known = [e for e in model.healthy if e.effect in CATALOGUE and e.effect not in without and {*e.joints} <= {*names}]
-    forms = fit.candidates(
-        [(CATALOGUE[e.effect], tuple(map(names.index, e.joints)), e.settings) for e in known], rough=True
+    learned = [
+        e for e in model.healthy if e.effect in CATALOGUE and e.effect not in without and {*e.joints} <= {*names}
+    ]
+    candidates = fit.candidates(
+        [(CATALOGUE[e.effect], tuple(map(names.index, e.joints)), e.settings) for e in learned], rough=True
     )
     healthy = []
-    for entry, form in zip(known, forms, strict=True):
-        if form.stable and set(form.names) == set(entry.amount):
-            value = np.array([entry.value[name] for name in form.names]) if entry.value else None
+    for entry, candidate in zip(learned, candidates, strict=True):
+        if candidate.stable and set(candidate.names) == set(entry.amount):
+            value = np.array([entry.value[name] for name in candidate.names]) if entry.value else None
             mean, deviation = (None, None) if value is None else value.T
-            healthy.append(HealthyForm(form, np.array([entry.amount[name] for name in form.names]), mean, deviation))
+            healthy.append(
+                HealthyForm(candidate, np.array([entry.amount[name] for name in candidate.names]), mean, deviation)
+            )
     return healthy

@@ -18,35 +18,35 @@ class NoiseRoot:
     s]] with Q_oo diagonal (`noise_model`). Eliminating the latter first leaves a matrix whose size no log adds to.
     """
 
-    own: np.ndarray
+    diagonal: np.ndarray
     cross: np.ndarray
     lower: np.ndarray
 
     @classmethod
-    def of(cls, square: np.ndarray, common: int, scale: float, variance: float) -> NoiseRoot:
-        """Of products (m, m) of the columns, the first `common` of which all logs share."""
-        own = np.sqrt(1 + np.diag(square)[common:] / scale)
-        cross = square[:common, common:] / (scale * own)
-        inner = square[:common, :common] / scale - cross @ cross.T
-        inner.flat[:: common + 1] += 1 / variance
-        return cls(own, cross, np.linalg.cholesky(inner))
+    def of(cls, products: np.ndarray, shared: int, scale: float, variance: float) -> NoiseRoot:
+        """Of products (m, m) of the columns, the first `shared` of which all logs have in common."""
+        diagonal = np.sqrt(1 + np.diag(products)[shared:] / scale)
+        cross = products[:shared, shared:] / (scale * diagonal)
+        inner = products[:shared, :shared] / scale - cross @ cross.T
+        inner.flat[:: shared + 1] += 1 / variance
+        return cls(diagonal, cross, np.linalg.cholesky(inner))
 
     @property
     def log_det(self) -> float:
         """Of the precision."""
-        return 2 * float(np.log(np.diag(self.lower)).sum() + np.log(self.own).sum())
+        return 2 * float(np.log(np.diag(self.lower)).sum() + np.log(self.diagonal).sum())
 
     def solved(self, side: np.ndarray) -> np.ndarray:
         """L⁻¹ of (m, k) or (m,)."""
-        common = len(self.lower)
-        own = (side[common:].T / self.own).T
-        return np.concatenate([solved_lower(self.lower, side[:common] - self.cross @ own), own])
+        shared = len(self.lower)
+        of_logs = (side[shared:].T / self.diagonal).T
+        return np.concatenate([solved_lower(self.lower, side[:shared] - self.cross @ of_logs), of_logs])
 
     def solved_transposed(self, side: np.ndarray) -> np.ndarray:
         """L⁻ᵀ of (m,)."""
-        common = len(self.lower)
-        first = solved_lower(self.lower, side[:common], transposed=True)
-        return np.concatenate([first, (side[common:] - self.cross.T @ first) / self.own])
+        shared = len(self.lower)
+        first = solved_lower(self.lower, side[:shared], transposed=True)
+        return np.concatenate([first, (side[shared:] - self.cross.T @ first) / self.diagonal])
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +54,18 @@ class JointMoments:
     """One joint under a hypothesis, over [X, Z, r].
 
     `reduced`: moments with the noise model integrated out; `root` of the noise model's precision; `half`: its solution
-    with the cross moments; `moments`: B of [X, Z, r], V of U with these, Q of U; `at`: indices of X and Z among all
-    parameters; `effects`: which effects act here.
+    with the cross moments; `own`: B of [X, Z, r], `cross`: V of U with these, `noise`: Q of U; `parameter_index`: of X
+    and Z among all parameters; `effects`: which effects act here.
     """
 
     reduced: np.ndarray
     log_det: float
     root: NoiseRoot
     half: np.ndarray
-    moments: tuple[np.ndarray, np.ndarray, np.ndarray]
-    at: np.ndarray
+    own: np.ndarray
+    cross: np.ndarray
+    noise: np.ndarray
+    parameter_index: np.ndarray
     effects: tuple[int, ...]
 
 
@@ -78,10 +80,9 @@ def solved(matrix: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, float]:
 
 def remaining_energy(joint: JointMoments, mean: np.ndarray) -> float:
     """Energy that model, effects and noise model leave on a joint at parameters (k,)."""
-    own, cross, square = joint.moments
     weights = np.append(mean, -1.0)
-    pull, background = cross @ weights, -joint.root.solved_transposed(joint.half @ weights)
-    return max(float(weights @ own @ weights + 2 * background @ pull + background @ square @ background), 0.0)
+    side, noise = joint.cross @ weights, -joint.root.solved_transposed(joint.half @ weights)
+    return max(float(weights @ joint.own @ weights + 2 * noise @ side + noise @ joint.noise @ noise), 0.0)
 
 
 def solved_lower(lower: np.ndarray, side: np.ndarray, transposed: bool = False) -> np.ndarray:

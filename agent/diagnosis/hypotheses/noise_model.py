@@ -68,16 +68,16 @@ class NoiseModel:
     """
 
     def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None, law: EvidenceLaw):
-        self.law, self.joints = law, len(fit.rows)
+        self.law, self.dof = law, len(fit.rows)
         signals = fit.signals
         kept_time = np.concatenate([s.time[s.kept] for s in signals])
         rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-        self._rests, self._step = fit.rests, max(1, round(ROW_SPACING * rate))
+        self._whitening, self._step = fit.rests, max(1, round(ROW_SPACING * rate))
         thin = slice(None, None, self._step)
         self.sigma, self.nominal = fit.sigma[thin], fit.reference.scale
         self.rows = len(self.sigma)
         base = self.sigma.min(axis=0)
-        self.unit = self.nominal / base
+        self.nominal_over_sigma = self.nominal / base
         self.weight = self._step / rate / law.error_correlation_time
         self.count = self.rows * self.weight
         q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
@@ -90,55 +90,56 @@ class NoiseModel:
         own_model = fit.keeps_parameters and fit.reference.model.method != SIMULATOR
         # these logs say nothing of how much the model errs in other motion, however little noise they have
         noise_share = fit.reference.model.noise_share
-        own_error = np.ones(self.joints) if noise_share is None else noise_share
-        self._least_scale = own_error if own_model and healthy else np.zeros(self.joints)
+        own_error = np.ones(self.dof) if noise_share is None else noise_share
+        self._least_scale = own_error if own_model and healthy else np.zeros(self.dof)
         spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))
-        self.share: list[float] = []
-        self.known: list[np.ndarray] = []
-        self.gram: list[np.ndarray] = []
+        self.torque_share: list[float] = []
+        self.columns: list[np.ndarray] = []
+        self.moments: list[np.ndarray] = []
         self._widths: list[tuple[int, int, int]] = []
         for j, rows in enumerate(fit.rows):
-            own = fit.rests.whitened(j, rows)[thin]
-            free = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
-            free = np.hstack([free * (base[j] / self.sigma[:, j])[:, None], *usual.get(j, ())])
+            model_rows = fit.rests.whitened(j, rows)[thin]
+            smooth = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
+            shared = np.hstack([smooth * (base[j] / self.sigma[:, j])[:, None], *usual.get(j, ())])
             amounts = [self.thinned(h.candidate, j) * h.amount for h in healthy if j in h.candidate.blocks]
-            self.share.append(_share(amounts))
-            amounts = [self.share[j] * columns for columns in amounts]
-            each = self._turned(self._noticed(np.hstack([*amounts, own[:, :-1] @ spread[fit.index[j]]])))
-            columns = np.hstack([own[:, :-1], free, each, own[:, -1:]])
-            self._widths.append((own.shape[1] - 1, free.shape[1], each.shape[1]))
-            self.known.append(columns.astype(np.float32))
-            self.gram.append(self._squared(j, columns) * self.weight)
+            self.torque_share.append(_torque_share(amounts))
+            amounts = [self.torque_share[j] * columns for columns in amounts]
+            known = np.hstack([*amounts, model_rows[:, :-1] @ spread[fit.index[j]]])
+            of_log = self._turned(self._noticed(known))
+            columns = np.hstack([model_rows[:, :-1], shared, of_log, model_rows[:, -1:]])
+            self._widths.append((model_rows.shape[1] - 1, shared.shape[1], of_log.shape[1]))
+            self.columns.append(columns.astype(np.float32))
+            self.moments.append(self._squared(j, columns) * self.weight)
 
-    def width(self, joint: int) -> tuple[int, int]:
+    def column_counts(self, joint: int) -> tuple[int, int]:
         """How many columns X and U have on a joint."""
-        own, common, each = self._widths[joint]
-        return own, common + each * len(self._logs)
+        model, shared, of_log = self._widths[joint]
+        return model, shared + of_log * len(self._logs)
 
     def thinned(self, candidate: Candidate, joint: int) -> np.ndarray:
         """(S, k) columns of a candidate on a joint, over σ, whitened at rests, of the rows that are kept."""
-        white = self._rests.whitened(joint, candidate.blocks[joint])
+        white = self._whitening.whitened(joint, candidate.blocks[joint])
         return np.asarray(white[:: self._step], dtype=np.float32)
 
-    def with_known(self, joint: int, columns: np.ndarray) -> np.ndarray:
+    def products_with_columns(self, joint: int, columns: np.ndarray) -> np.ndarray:
         """Products of [X, U, r] with columns (S, K) of a joint; in U, what differs from log to log comes log by log."""
-        known, (width, free, each) = self.known[joint], self._widths[joint]
-        own = slice(width + free, width + free + each)
-        by_log = [known[rows, own].T @ columns[rows] for rows in self._logs]
-        return np.vstack([known[:, : own.start].T @ columns, *by_log, known[:, own.stop :].T @ columns])
+        whole, (model, shared, of_log) = self.columns[joint], self._widths[joint]
+        span = slice(model + shared, model + shared + of_log)
+        by_log = [whole[rows, span].T @ columns[rows] for rows in self._logs]
+        return np.vstack([whole[:, : span.start].T @ columns, *by_log, whole[:, span.stop :].T @ columns])
 
-    def common(self, joint: int) -> int:
+    def shared_count(self, joint: int) -> int:
         """How many columns of U all logs share."""
         return self._widths[joint][1]
 
-    def variance(self, joint: int, scale: float, form: float, free: Mapping[int, float]) -> float:
+    def variance(self, joint: int, scale: float, form_energy: float, uncatalogued_sizes: Mapping[int, float]) -> float:
         """Prior variance of the coefficients that are common to all logs, over σ²."""
-        law, unit = self.law, float(self.unit[joint])
+        law, unit = self.law, float(self.nominal_over_sigma[joint])
         return (
             max(scale, self._least_scale[joint]) * law.systematic**2
             + (law.drift * unit) ** 2
-            + min(law.form_error**2 * form, _FORM)
-            + (free.get(joint, 0.0) * unit) ** 2
+            + min(law.form_error**2 * form_energy, _FORM)
+            + (uncatalogued_sizes.get(joint, 0.0) * unit) ** 2
         )
 
     def _usual(self, candidates: Sequence[Candidate]) -> dict[int, list[np.ndarray]]:
@@ -155,9 +156,9 @@ class NoiseModel:
         return usual
 
     def usual_torque(self, effect: HealthyForm) -> float:
-        """Torque over nominal, root mean square, on the joint with most, of what this form has of the healthy arm's."""
-        form, weight = effect.candidate, (self.sigma / self.nominal[None]) ** 2
-        columns = {j: self.share[j] * self.thinned(form, j) * effect.amount for j in form.blocks}
+        """Torque over nominal, root mean square, on the joint with most, of this effect of the healthy arm."""
+        candidate, weight = effect.candidate, (self.sigma / self.nominal[None]) ** 2
+        columns = {j: self.torque_share[j] * self.thinned(candidate, j) * effect.amount for j in candidate.blocks}
         power = [float(np.mean((block**2).sum(axis=1) * weight[:, j])) for j, block in columns.items()]
         return float(np.sqrt(max(power, default=0.0)))
 
@@ -176,17 +177,17 @@ class NoiseModel:
 
     def _squared(self, joint: int, columns: np.ndarray) -> np.ndarray:
         """Products of [X, U, r] with themselves."""
-        width, free, each = self._widths[joint]
-        alone = columns[:, width + free : width + free + each]
-        common = np.delete(columns, np.s_[width + free : width + free + each], axis=1)
-        cross = np.hstack([common[rows].T @ alone[rows] for rows in self._logs])
-        square = block_diag(*(alone[rows].T @ alone[rows] for rows in self._logs))
+        model, shared, of_log = self._widths[joint]
+        first = model + shared
+        by_log, common = columns[:, first : first + of_log], np.delete(columns, np.s_[first : first + of_log], axis=1)
+        cross = np.hstack([common[rows].T @ by_log[rows] for rows in self._logs])
+        square = block_diag(*(by_log[rows].T @ by_log[rows] for rows in self._logs))
         whole = np.block([[common.T @ common, cross], [cross.T, square]])
-        order = np.r_[0 : width + free, width + free + 1 : len(whole), width + free]
+        order = np.r_[0:first, first + 1 : len(whole), first]
         return np.asarray(whole[np.ix_(order, order)])
 
 
-def _share(parts: Sequence[np.ndarray]) -> float:
+def _torque_share(parts: Sequence[np.ndarray]) -> float:
     """Part of their amounts that effects with columns (S, k) have: together as much torque as the largest one alone.
 
     Each was learned as if it explained by itself what the model of a healthy arm leaves, which is one torque.

@@ -47,10 +47,10 @@ def compare(
     """
     hypotheses = posterior(evidence, evaluated, observed)
     statements = _statements(hypotheses)
-    faults, free = max(statements, key=lambda names: round(statements[names], 2))  # first: fewest forms
-    leader = max(hypotheses, key=lambda h: _shares(h).get((faults, free), 0.0))
-    plain = next(h for h in hypotheses if not h.effects and not h.free)
-    size = dict(zip(leader.effect_keys, leader.torque, strict=True))
+    statement = max(statements, key=lambda names: round(statements[names], 2))  # first: fewest parameterisations
+    leader, (faults, _) = max(hypotheses, key=lambda h: _shares(h).get(statement, 0.0)), statement
+    plain = next(h for h in hypotheses if not h.effects and not h.uncatalogued_joints)
+    size = dict(zip(leader.effect_keys, leader.largest_torque, strict=True))
     effect_keys = sorted(faults, key=lambda key: (-size[key], key))
     causes = tuple(next(c for c in leader.effects if c.key == key) for key in effect_keys)
     equal = [_equal_by_definition(key, leader, hypotheses) for key in effect_keys]
@@ -90,24 +90,25 @@ def posterior(
     hypotheses = [
         Hypothesis(
             tuple(evidence.pool.candidate(k) for k in e.effects),
-            tuple(sorted(e.free)),
+            tuple(sorted(e.uncatalogued_sizes)),
             float(factor),
             {faults: weight / total for faults, weight in each.items()},
-            e.largest,
+            e.largest_torque,
             1 - float(e.unexplained.sum()) / before,
             float(e.scales.max()),
         )
         for e, factor, each in zip(evaluated, log - alone, weights, strict=True)
     ]
-    # of equals the effect that has fewer forms to choose from
-    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(evidence.pool.kinds, h.effect_keys))))
+    # of equals the effect that has fewer parameterisations to choose from
+    choices = evidence.pool.count_parameterisations
+    return sorted(hypotheses, key=lambda h: (-round(h.probability, 6), sum(map(choices, h.effect_keys))))
 
 
 def _priors(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> dict[frozenset[EffectKey], float]:
     """Log prior over no fault's, as likely as some, by which effects are faults; others are more than usual."""
     priors = {}
     effect_keys = [evidence.pool.candidate(k).key for k in hypothesis.effects]
-    sizes = zip(effect_keys, hypothesis.largest, strict=True)
+    sizes = zip(effect_keys, hypothesis.largest_torque, strict=True)
     healthy = [
         _log_healthy(size, evidence.usual.get(key), evidence.distance_from_baseline(hypothesis, k))
         for k, (key, size) in enumerate(sizes)
@@ -116,9 +117,9 @@ def _priors(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> dict[frozens
     for faulty in product((True, False), repeat=len(effect_keys)):
         faults = frozenset(compress(effect_keys, faulty))
         log = sum(h for h, fault in zip(healthy, faulty, strict=True) if not fault)
-        log += sum(each - (np.log(evidence.joints) if joints else 0.0) for _, joints in sorted(faults))
-        log += len(hypothesis.free) * np.log(LAW.unlikely / evidence.joints)
-        log += max(len(faults) + len(hypothesis.free) - 1, 0) * np.log(LAW.unlikely)
+        log += sum(each - (np.log(evidence.dof) if joints else 0.0) for _, joints in sorted(faults))
+        log += len(hypothesis.uncatalogued_sizes) * np.log(LAW.unlikely / evidence.dof)
+        log += max(len(faults) + len(hypothesis.uncatalogued_sizes) - 1, 0) * np.log(LAW.unlikely)
         if np.isfinite(log):
             priors[faults] = float(log)
     return priors
@@ -157,12 +158,12 @@ def _shares(hypothesis: Hypothesis) -> dict[Statement, float]:
     """Probability of a hypothesis by statement."""
     large = {
         p
-        for p, torque in zip(hypothesis.effect_keys, hypothesis.torque, strict=True)
+        for p, torque in zip(hypothesis.effect_keys, hypothesis.largest_torque, strict=True)
         if torque >= LAW.least_named_torque
     }
     shares: dict[Statement, float] = {}
     for faults, share in hypothesis.shares.items():
-        statement = faults & large, frozenset(hypothesis.free)
+        statement = faults & large, frozenset(hypothesis.uncatalogued_joints)
         shares[statement] = shares.get(statement, 0.0) + share
     return shares
 
@@ -178,14 +179,14 @@ def _statements(hypotheses: Sequence[Hypothesis]) -> dict[Statement, float]:
 
 def _equal_by_definition(key: EffectKey, leader: Hypothesis, hypotheses: Sequence[Hypothesis]) -> tuple[EffectKey, ...]:
     """Hypotheses that equal a cause by definition unless the logs show otherwise, and explain about as much."""
-    known = CATALOGUE[key[0]].structurally_equivalent
+    equivalent = CATALOGUE[key[0]].structurally_equivalent
     as_much = (1 - LIMITS.negligible) * leader.log_bayes_factor
     equal = {
         other: None
         for hypothesis in hypotheses
         if hypothesis.log_bayes_factor >= as_much and key not in hypothesis.effect_keys
         for other in hypothesis.effect_keys
-        if other[0] in known and share_joints(key, other)
+        if other[0] in equivalent and share_joints(key, other)
     }
     return tuple(equal)
 
@@ -197,11 +198,12 @@ def _class_of(
     equal: tuple[EffectKey, ...],
 ) -> tuple[tuple[EffectKey, ...], float]:
     """Hypotheses that these motions do not distinguish from a cause, and the probability of any of them."""
-    own = sum(share for (effect_keys, _), share in statements.items() if key in effect_keys)
-    instead: dict[EffectKey, float] = {}
+    with_cause = sum(share for (effect_keys, _), share in statements.items() if key in effect_keys)
+    replacing: dict[EffectKey, float] = {}
     for (effect_keys, _), share in statements.items():
         for other in sorted(effect_keys - faults) if key not in effect_keys else ():
-            instead[other] = instead.get(other, 0.0) + share
-    likely = [other for other, share in instead.items() if share >= LAW.unlikely * own and share_joints(key, other)]
-    alike = list(dict.fromkeys([*sorted(likely, key=lambda other: -instead[other]), *equal]))[:_RIVALS]
-    return tuple(alike), LAW.confidence * min(1.0, own + sum(instead.get(other, 0.0) for other in alike))
+            replacing[other] = replacing.get(other, 0.0) + share
+    least = LAW.unlikely * with_cause
+    likely = [other for other, share in replacing.items() if share >= least and share_joints(key, other)]
+    rivals = list(dict.fromkeys([*sorted(likely, key=lambda other: -replacing[other]), *equal]))[:_RIVALS]
+    return tuple(rivals), LAW.confidence * min(1.0, with_cause + sum(replacing.get(other, 0.0) for other in rivals))

@@ -3,13 +3,13 @@
 All rows of joint j, divided by its noise level σ_j, follow one linear Gaussian model:
 
     r_j = X_j δ + Z_jh β_h + U_j γ_j + e_j,    e_j ~ N(0, s_j²),    δ ~ N(δ₀, Λ⁻¹),    β_h ~ N(0, size² / rms²),
-    γ_j ~ N(0, max(s_j², s₀_j²) g² + drift² + form² τ_jh² + free_j²),   s_j² ~ inverse gamma (ν / 2, ν / 2)
+    γ_j ~ N(0, max(s_j², s₀_j²) g² + drift² + form² τ_jh² + u_j²),   s_j² ~ inverse gamma (ν / 2, ν / 2)
 
 X_j are the model's columns, whose parameters move within the covariance stored with them. Z_jh are the columns of the
 hypothesis' effects, and U_j those of the noise model. Some of these all logs share (`noise_model`), with a variance of
 four parts: the model's own systematic error (g, with the s₀_j² of other motion where it is known), changes of the arm
 over time (drift), errors in the parameterisation of any effect (a share of its own torque τ), and "something else on
-this joint" (free_j). Of others, with γ ~ N(0, 1), each log has its own: what the healthy arm has of the effects
+this joint" (u_j). Of others, with γ ~ N(0, 1), each log has its own: what the healthy arm has of the effects
 (`healthy`), and changes of δ. δ, β and γ are integrated out in closed form. The scales s_j and the effects' sizes are
 fitted (Laplace, empirical Bayes). Parameters that the data do not need therefore cost evidence (Kass and Raftery,
 J. Am. Statist. Assoc. 90, 1995). Each nonlinear parameter that was chosen on the data costs ½ log N.
@@ -43,28 +43,28 @@ _ROUNDS = 3  # numerical: of scales and sizes, one more where nothing is known
 class EvaluatedHypothesis:
     """A hypothesis with its `log_evidence`.
 
-    `effects` are numbers of the pool. `free` maps joints with "something else" to its size. `values[k]` is the
-    posterior mean of effect k. `torque[k]` is its torque per joint over nominal, fitted without the noise model: the
-    root mean square while it lasts, in the log with most. `unexplained` (n,) is the squared torque over nominal that
-    neither the effects nor the noise model explain.
+    `effects` are numbers of the pool. `uncatalogued_sizes` maps joints with "something else" to its size. `values[k]`
+    is the posterior mean of effect k. `torque_per_joint[k]` is its torque over nominal, fitted without the noise model:
+    the root mean square while it lasts, in the log with most. `unexplained` (n,) is the squared torque over nominal
+    that neither the effects nor the noise model explain.
     """
 
     effects: tuple[int, ...]
-    free: Mapping[int, float]
+    uncatalogued_sizes: Mapping[int, float]
     log_evidence: float
     scales: np.ndarray
     values: tuple[np.ndarray, ...]
-    torque: tuple[dict[int, float], ...]
+    torque_per_joint: tuple[dict[int, float], ...]
     unexplained: np.ndarray
-    joints: tuple[JointMoments, ...] = field(repr=False)
+    joint_moments: tuple[JointMoments, ...] = field(repr=False)
     precision: np.ndarray = field(repr=False)
     mean: np.ndarray = field(repr=False)
     shortlist: list[tuple[np.ndarray, list[np.ndarray]]] = field(default_factory=list, repr=False)
 
     @property
-    def largest(self) -> tuple[float, ...]:
+    def largest_torque(self) -> tuple[float, ...]:
         """Per effect its torque on the joint where it has most, over nominal."""
-        return tuple(max(of_effect.values(), default=0.0) for of_effect in self.torque)
+        return tuple(max(of_effect.values(), default=0.0) for of_effect in self.torque_per_joint)
 
 
 class Score:
@@ -86,7 +86,7 @@ class Score:
     def __init__(
         self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None = None, law: EvidenceLaw = LAW
     ):
-        self.law, self.joints, self.reference = law, len(fit.rows), fit.reference
+        self.law, self.dof, self.reference = law, len(fit.rows), fit.reference
         self.noise = noise = NoiseModel(fit, candidates, healthy, law)
         self.usual: dict[EffectKey, float] = {}
         for effect in healthy or ():
@@ -96,13 +96,13 @@ class Score:
         self._baseline = {effect.candidate.key: effect for effect in healthy or () if effect.mean is not None}
         self.pool = CandidatePool(noise)
         rounds = _ROUNDS + 1  # in which the scales are fitted
-        self._moments = lru_cache(maxsize=rounds * self.joints)(self.pool.moments)
+        self._moments = lru_cache(maxsize=rounds * self.dof)(self.pool.moments)
         self._index, self._prior_information = list(fit.index), fit.prior_information
         self._friction = _varying_friction(fit)
-        self._own_friction = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
+        self._friction_columns = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
         self.prior = _prior_with_daily_friction(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self.prior)[1])
-        residual = np.stack([columns[:, -1] for columns in noise.known], axis=1) * noise.sigma / noise.nominal
+        residual = np.stack([columns[:, -1] for columns in noise.columns], axis=1) * noise.sigma / noise.nominal
         largest = float(np.sqrt(np.mean(residual**2, axis=0)).max())
         self.sizes = (*law.sizes, *([largest] if largest > law.sizes[-1] else []))
         self._null_hypothesis: EvaluatedHypothesis | None = None
@@ -129,12 +129,12 @@ class Score:
         """
         if base.scales.max() <= 1:
             return base
-        return self.evaluate(base.effects, base.free, np.minimum(base.scales, 1.0), refit=False)
+        return self.evaluate(base.effects, base.uncatalogued_sizes, np.minimum(base.scales, 1.0), refit=False)
 
     def evaluate(
         self,
         effects: Sequence[int],
-        free: Mapping[int, float] | None = None,
+        uncatalogued_sizes: Mapping[int, float] | None = None,
         scales: np.ndarray | None = None,
         refit: bool = True,
     ) -> EvaluatedHypothesis:
@@ -144,54 +144,57 @@ class Score:
         ----------
         effects : sequence of int
             Numbers of candidates in the pool.
-        free : mapping of int to float, optional
+        uncatalogued_sizes : mapping of int to float, optional
             Joints with "something else", and its size over nominal torque.
         scales : ndarray, shape (n,), optional
             Squared scales s_j² to begin with, those without effects if None; joints that nothing acts on keep them.
         refit : bool, optional
             Fit the scales; else all joints keep them.
         """
-        law, free = self.law, dict(free or {})
+        law, uncatalogued_sizes = self.law, dict(uncatalogued_sizes or {})
         if scales is None:
-            scales = np.ones(self.joints) if self._null_hypothesis is None else self._null_hypothesis.scales
+            scales = np.ones(self.dof) if self._null_hypothesis is None else self._null_hypothesis.scales
         scales = scales.copy()
-        form, sizes = np.zeros(self.joints), [law.sizes[1]] * len(effects)
-        touched = {j for k in effects for j in self.pool.candidate(k).blocks} | set(free)
-        if (
-            refit and self._null_hypothesis
-        ):  # a large effect raises the scales, and the noise model would then explain it
+        form_energy, sizes = np.zeros(self.dof), [law.sizes[1]] * len(effects)
+        touched = {j for k in effects for j in self.pool.candidate(k).blocks} | set(uncatalogued_sizes)
+        # a large effect raises the scales, and the noise model would then explain it
+        if refit and self._null_hypothesis:
             scales[list(touched)] = np.minimum(scales[list(touched)], 1.0)
         rounds = _ROUNDS + (self._null_hypothesis is None)
         for last in [False] * rounds + [True]:
-            precision, side, joints, ends = self._joint_system(effects, free, scales, form, sizes)
+            precision, side, joints, ends = self._joint_system(effects, uncatalogued_sizes, scales, form_energy, sizes)
             mean, log_det = solved(precision, side)
             values = [mean[a:b] for a, b in pairwise(ends)]
             torque = [self.pool.torque(k, v) for k, v in zip(effects, values, strict=True)]
             if last:
                 break
-            form = np.array([sum(of_effect.get(j, 0.0) ** 2 for of_effect in torque) for j in range(self.joints)])
-            form = form * self.noise.unit**2
+            form_energy = np.array([sum(of_effect.get(j, 0.0) ** 2 for of_effect in torque) for j in range(self.dof)])
+            form_energy = form_energy * self.noise.nominal_over_sigma**2
             if self._friction.size:
-                form += [self._own_change(j, joint, mean) for j, joint in enumerate(joints)]
+                form_energy += [self._friction_change(j, joint, mean) for j, joint in enumerate(joints)]
             sizes = [_nearest(self.sizes, max(of_effect.values(), default=0.0)) for of_effect in torque]
-            for j in (touched if self._null_hypothesis else range(self.joints)) if refit else ():
-                energy = remaining_energy(joints[j], mean[joints[j].at])
+            for j in (touched if self._null_hypothesis else range(self.dof)) if refit else ():
+                energy = remaining_energy(joints[j], mean[joints[j].parameter_index])
                 scales[j] = max((law.nu + energy) / (law.nu + self.noise.count), LEAST_SCALE)
         log = -0.5 * (sum(joint.reduced[-1, -1] + joint.log_det for joint in joints) - float(side @ mean) + log_det)
         ridges = [self.pool.ridge(k, size) for k, size in zip(effects, sizes, strict=True)]
         log += 0.5 * (self._log_prior + sum(float(np.linalg.slogdet(ridge)[1]) for ridge in ridges))
         log -= 0.5 * float(np.sum((law.nu + 2) * np.log(scales) + law.nu / scales))
-        log -= sum(self.cost(self.pool.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(free)
+        log -= sum(self.cost(self.pool.candidate(k)) for k in effects) + float(np.log(len(law.sizes) - 1)) * len(
+            uncatalogued_sizes
+        )
         alone = self._without_noise_model(joints, scales, ridges, ends)
         return EvaluatedHypothesis(
             effects=tuple(effects),
-            free=free,
+            uncatalogued_sizes=uncatalogued_sizes,
             log_evidence=log,
             scales=scales,
             values=tuple(values),
-            torque=tuple(self.pool.lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
-            unexplained=np.array([self._unexplained(j, joint, mean[joint.at]) for j, joint in enumerate(joints)]),
-            joints=tuple(joints),
+            torque_per_joint=tuple(self.pool.lasting_torque(k, v) for k, v in zip(effects, alone, strict=True)),
+            unexplained=np.array(
+                [self._unexplained(j, joint, mean[joint.parameter_index]) for j, joint in enumerate(joints)]
+            ),
+            joint_moments=tuple(joints),
             precision=precision,
             mean=mean,
         )
@@ -206,21 +209,23 @@ class Score:
             where the baseline does not show the effect.
         """
         number, values = evaluated.effects[which], evaluated.values[which]
-        known = self._baseline.get(self.pool.candidate(number).key)
-        if known is None or known.mean is None or known.deviation is None:
+        healthy = self._baseline.get(self.pool.candidate(number).key)
+        if healthy is None or healthy.mean is None or healthy.deviation is None:
             return None
-        (other,), end = self.pool.numbers([known.candidate]), len(evaluated.mean)
+        (other,), end = self.pool.numbers([healthy.candidate]), len(evaluated.mean)
         first = end - sum(map(len, evaluated.values[which:]))
         unit = 1 / np.sqrt(np.diag(evaluated.precision))
         lower = scaled_cholesky(evaluated.precision, unit)
         half = solved_lower(lower, np.diag(unit)[:, first : first + len(values)])
-        own = half.T @ half
-        candidates = [
-            (self.pool.difference(number, values, other, known.mean, j), j) for j in self.pool.candidate(number).blocks
+        covariance = half.T @ half
+        per_joint = [
+            (self.pool.difference(number, values, other, healthy.mean, j), j)
+            for j in self.pool.candidate(number).blocks
         ]
-        torque, j = max(candidates)
-        spread = self.pool.variance(number, own, j) + self.pool.variance(other, np.diag(known.deviation**2), j)
-        return torque, float(np.sqrt(spread))
+        torque, j = max(per_joint)
+        variance = self.pool.variance(number, covariance, j)
+        variance += self.pool.variance(other, np.diag(healthy.deviation**2), j)
+        return torque, float(np.sqrt(variance))
 
     def irreplaceable(self, effects: Sequence[int], which: int) -> bool:
         """Whether one effect of a hypothesis, on one joint, is needed next to something else there.
@@ -229,16 +234,16 @@ class Score:
         effect next to it has to be that of a name.
         """
         (joint,), others = self.pool.candidate(effects[which]).joints, [*effects[:which], *effects[which + 1 :]]
-        with_it, without = (
+        complete, without = (
             max(self.evaluate(some, {joint: size}).log_evidence for size in self.sizes) for some in (effects, others)
         )
-        return with_it - without >= self.naming_threshold(True)
+        return complete - without >= self.naming_threshold(True)
 
-    def _own_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
+    def _friction_change(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over σ by which the model's friction changed: its form is no better than an effect's."""
-        friction = self._own_friction[j]
-        change = mean[joint.at[friction]]
-        return max(float(change @ joint.moments[0][np.ix_(friction, friction)] @ change) / self.noise.count, 0.0)
+        friction = self._friction_columns[j]
+        change = mean[joint.parameter_index[friction]]
+        return max(float(change @ joint.own[np.ix_(friction, friction)] @ change) / self.noise.count, 0.0)
 
     def _without_noise_model(
         self, joints: Sequence[JointMoments], scales: np.ndarray, ridges: Sequence[np.ndarray], ends: np.ndarray
@@ -248,9 +253,9 @@ class Score:
         matrix, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
         matrix[:base, :base], side[:base] = self.prior, self._prior_information
         for scale, joint in zip(scales, joints, strict=True):
-            own = joint.moments[0] / scale
-            matrix[np.ix_(joint.at, joint.at)] += own[:-1, :-1]
-            side[joint.at] += own[:-1, -1]
+            index, moments = joint.parameter_index, joint.own / scale
+            matrix[np.ix_(index, index)] += moments[:-1, :-1]
+            side[index] += moments[:-1, -1]
         for ridge, (a, b) in zip(ridges, pairwise(ends), strict=True):
             matrix[a:b, a:b] += ridge
         values, _ = solved(matrix, side)
@@ -261,18 +266,25 @@ class Score:
         law, sure = self.law, self.law.sure / self.law.confidence
         if not against_nothing:
             return float(-np.log(law.unlikely))
-        prior = (1 - law.unlikely) / len(CATALOGUE) / self.joints
+        prior = (1 - law.unlikely) / len(CATALOGUE) / self.dof
         return float(np.log(sure / (1 - sure) / prior))
 
-    def _joint(self, j: int, scale: float, variance: float, effects: tuple[int, ...], at: np.ndarray) -> JointMoments:
-        own, cross, square = self._moments(j, effects)
-        root = NoiseRoot.of(square, self.noise.common(j), scale, variance)
+    def _joint(
+        self, j: int, scale: float, variance: float, effects: tuple[int, ...], index: np.ndarray
+    ) -> JointMoments:
+        own, cross, noise = self._moments(j, effects)
+        root = NoiseRoot.of(noise, self.noise.shared_count(j), scale, variance)
         half = root.solved(cross) / scale
-        log_det = self.noise.count * np.log(scale) + root.log_det + self.noise.common(j) * np.log(variance)
-        return JointMoments(own / scale - half.T @ half, float(log_det), root, half, (own, cross, square), at, effects)
+        log_det = self.noise.count * np.log(scale) + root.log_det + self.noise.shared_count(j) * np.log(variance)
+        return JointMoments(own / scale - half.T @ half, float(log_det), root, half, own, cross, noise, index, effects)
 
     def _joint_system(
-        self, effects: Sequence[int], free: dict[int, float], scales: np.ndarray, form: np.ndarray, sizes: list[float]
+        self,
+        effects: Sequence[int],
+        uncatalogued_sizes: dict[int, float],
+        scales: np.ndarray,
+        form_energy: np.ndarray,
+        sizes: list[float],
     ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
         """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
         base = len(self.prior)
@@ -280,18 +292,18 @@ class Score:
         precision, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
         precision[:base, :base], side[:base] = self.prior, self._prior_information
         joints = []
-        for j in range(self.joints):
+        for j in range(self.dof):
             here = [place for place, k in enumerate(effects) if j in self.pool.candidate(k).blocks]
-            known = self._null_hypothesis
-            if known is not None and not here and j not in free and scales[j] == known.scales[j]:
-                joint = known.joints[j]
+            null = self._null_hypothesis
+            if null is not None and not here and j not in uncatalogued_sizes and scales[j] == null.scales[j]:
+                joint = null.joint_moments[j]
             else:
                 spans = [np.arange(ends[place], ends[place + 1]) for place in here]
-                at = np.concatenate([self._index[j], *spans]).astype(int)
-                variance = self.noise.variance(j, float(scales[j]), float(form[j]), free)
-                joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), at)
-            precision[np.ix_(joint.at, joint.at)] += joint.reduced[:-1, :-1]
-            side[joint.at] += joint.reduced[:-1, -1]
+                index = np.concatenate([self._index[j], *spans]).astype(int)
+                variance = self.noise.variance(j, float(scales[j]), float(form_energy[j]), uncatalogued_sizes)
+                joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), index)
+            precision[np.ix_(joint.parameter_index, joint.parameter_index)] += joint.reduced[:-1, :-1]
+            side[joint.parameter_index] += joint.reduced[:-1, -1]
             joints.append(joint)
         for k, size, (a, b) in zip(effects, sizes, pairwise(ends), strict=True):
             precision[a:b, a:b] += self.pool.ridge(k, size)
@@ -304,12 +316,11 @@ class Score:
 
     def _unexplained(self, j: int, joint: JointMoments, mean: np.ndarray) -> float:
         """Squared torque over nominal that remains beyond the noise model's usual energy."""
-        weights, square = np.append(mean, -1.0), joint.moments[2]
-        energy, common = np.diag(square), self.noise.common(j)
-        usual = self.noise.variance(j, 1.0, 0.0, {}) * energy[:common].sum() + energy[common:].sum()
+        weights, energy, shared = np.append(mean, -1.0), np.diag(joint.noise), self.noise.shared_count(j)
+        usual = self.noise.variance(j, 1.0, 0.0, {}) * energy[:shared].sum() + energy[shared:].sum()
         usual = 1 + float(usual) / self.noise.count
-        excess = max(float(weights @ joint.moments[0] @ weights) / self.noise.count - usual, 0.0)
-        return excess / float(self.noise.unit[j]) ** 2
+        excess = max(float(weights @ joint.own @ weights) / self.noise.count - usual, 0.0)
+        return excess / float(self.noise.nominal_over_sigma[j]) ** 2
 
 
 def _varying_friction(fit: Fit) -> np.ndarray:

@@ -19,7 +19,7 @@ from agent.model import CATALOGUE
 
 _LEADERS = 8  # hypotheses whose nonlinear parameters are refined
 _FIRST, _THEN = 12, 6  # numerical: hypotheses that are evaluated after nothing, and after another hypothesis
-_FORMS = 3  # numerical: parameterisations per hypothesis
+_PARAMETERISATIONS = 3  # numerical: parameterisations per hypothesis
 _EXTENDED = (3, 2)  # numerical: hypotheses that one more effect is tried with, by how many they have
 _FACTORS = (1.25, 1.1, 1.04, 1.015)  # numerical: of nonlinear parameters, up and down
 
@@ -64,30 +64,30 @@ class Search:
             for joints in effect.possible_joints(fit.reference.robot)
             if (only is None or (effect.name, joints) in only) and not self.coverage.lacking(effect, joints)
         ]
-        self._known: set[Candidate] = set()
-        self._found: dict[HypothesisKey, EvaluatedHypothesis] = {}
+        self._made: set[Candidate] = set()
+        self._best_by_key: dict[HypothesisKey, EvaluatedHypothesis] = {}
         self._tried: set[HypothesisKey] = set()
 
     def run(self) -> SelectedCauses:
         """Evaluate the promising hypotheses, and compare them."""
         wanted = self._grid()
         usual = {(effect, joints): (effect, joints, s) for effect, joints, s in reversed(wanted) if effect.usual}
-        first = self._stable(list(usual.values()))
+        first = self._stable_candidates(list(usual.values()))
         self.evidence = evidence = Evidence(self.fit, first, self._healthy)
-        self._known.update(first)
+        self._made.update(first)
         self._add(self.fit, wanted)
         self._progress(f"comparing {evidence.pool.size} parameterisations")
-        self._keep(evidence.null_hypothesis)
+        self._keep_if_best(evidence.null_hypothesis)
         self._extend(evidence.null_hypothesis, _FIRST)
         for depth in range(1, LAW.max_effects):
-            before = max(hypothesis.log_evidence for hypothesis in self._found.values())
+            before = max(hypothesis.log_evidence for hypothesis in self._best_by_key.values())
             for base in self._extendable(depth)[: _EXTENDED[min(depth, 2) - 1]]:
                 self._progress(f"trying a further effect next to {self._text(base)}")
                 self._extend(base, _THEN)
             deeper = [
                 hypothesis.log_evidence
-                for hypothesis in self._found.values()
-                if len(hypothesis.effects) + len(hypothesis.free) > depth
+                for hypothesis in self._best_by_key.values()
+                if len(hypothesis.effects) + len(hypothesis.uncatalogued_sizes) > depth
             ]
             if max(deeper, default=-np.inf) < before:
                 break
@@ -99,7 +99,7 @@ class Search:
         return selected
 
     def _compared(self) -> SelectedCauses:
-        return compare(self.fit, self.evidence, list(self._found.values()), self._observed, self._ignored)
+        return compare(self.fit, self.evidence, list(self._best_by_key.values()), self._observed, self._ignored)
 
     def _replace(self, selected: SelectedCauses) -> bool:
         """Try other effects in place of each of several causes; False where all have been tried already.
@@ -107,22 +107,22 @@ class Search:
         Forward selection compares a cause with others only next to those that were found before it.
         """
         others = [selected.causes[:k] + selected.causes[k + 1 :] for k in range(len(selected.causes))]
-        new = [forms for forms in others if forms and self._key(forms, ()) not in self._tried]
-        for forms in new:
-            self._progress(f"comparing with others next to {' and '.join(form.effect.name for form in forms)}")
-            base = self.evidence.evaluate(self.evidence.pool.numbers(forms))
-            self._keep(base)
+        new = [causes for causes in others if causes and self._key(causes, ()) not in self._tried]
+        for causes in new:
+            self._progress(f"comparing with others next to {' and '.join(cause.effect.name for cause in causes)}")
+            base = self.evidence.evaluate(self.evidence.pool.numbers(causes))
+            self._keep_if_best(base)
             self._extend(base, _THEN)
         return bool(new)
 
     @staticmethod
-    def _key(forms: Iterable[Candidate], free: Iterable[int]) -> HypothesisKey:
-        return frozenset(form.key for form in forms), frozenset(free)
+    def _key(candidates: Iterable[Candidate], uncatalogued_joints: Iterable[int]) -> HypothesisKey:
+        return frozenset(candidate.key for candidate in candidates), frozenset(uncatalogued_joints)
 
-    def forms(self) -> Iterator[list[Candidate]]:
+    def candidates(self) -> Iterator[list[Candidate]]:
         """Yield every effect on all its possible joints, with the grid of its nonlinear parameters, some at a time."""
         wanted = self._grid()
-        return (self._stable(wanted[first : first + TOGETHER]) for first in range(0, len(wanted), TOGETHER))
+        return (self._stable_candidates(wanted[first : first + TOGETHER]) for first in range(0, len(wanted), TOGETHER))
 
     def _grid(self) -> list[Wanted]:
         wanted: list[Wanted] = [
@@ -131,40 +131,42 @@ class Search:
         self._progress(f"comparing {len(wanted)} forms of effects")
         return wanted
 
-    def _stable(self, wanted: Sequence[Wanted]) -> list[Candidate]:
-        return [form for form in self.fit.candidates(wanted, rough=True) if form.stable]
+    def _stable_candidates(self, wanted: Sequence[Wanted]) -> list[Candidate]:
+        return [candidate for candidate in self.fit.candidates(wanted, rough=True) if candidate.stable]
 
     def _text(self, base: EvaluatedHypothesis) -> str:
         names = [self.evidence.pool.candidate(k).effect.name for k in base.effects]
-        return " and ".join([*names, *["something else"] * len(base.free)])
+        return " and ".join([*names, *["something else"] * len(base.uncatalogued_sizes)])
 
     def _extendable(self, depth: int) -> list[EvaluatedHypothesis]:
         """Hypotheses with as many effects, likelier than none, that matter; likeliest first."""
         least, smallest = self.evidence.null_hypothesis.log_evidence, 0.5 * LAW.least_named_torque
         level = [
             hypothesis
-            for hypothesis in self._found.values()
-            if len(hypothesis.effects) + len(hypothesis.free) == depth and hypothesis.log_evidence > least
-            if min(hypothesis.largest, default=1.0) > smallest
+            for hypothesis in self._best_by_key.values()
+            if len(hypothesis.effects) + len(hypothesis.uncatalogued_sizes) == depth and hypothesis.log_evidence > least
+            if min(hypothesis.largest_torque, default=1.0) > smallest
         ]
         return sorted(level, key=lambda hypothesis: -hypothesis.log_evidence)
 
     def _extend(self, base: EvaluatedHypothesis, count: int) -> None:
         """Extend a hypothesis by the most promising effects, and by something else on each joint, and evaluate each."""
         evidence = self.evidence
-        self._tried.add(self._key(map(evidence.pool.candidate, base.effects), base.free))
+        self._tried.add(self._key(map(evidence.pool.candidate, base.effects), base.uncatalogued_sizes))
         gains, values = self._refined(evidence.as_expected(base), bool(base.scales.max() > 1))
-        for forms in self._promising(base, gains, values, count).values():
-            for k in forms:
-                self._keep(evidence.evaluate([*base.effects, k], base.free, base.scales))
-        for joint in set(range(evidence.joints)) - set(base.free):
+        for numbers in self._promising(base, gains, values, count).values():
+            for k in numbers:
+                self._keep_if_best(evidence.evaluate([*base.effects, k], base.uncatalogued_sizes, base.scales))
+        for joint in set(range(evidence.dof)) - set(base.uncatalogued_sizes):
             for size in LAW.sizes[:3]:
-                self._keep(evidence.evaluate(base.effects, {**base.free, joint: size}, base.scales))
+                self._keep_if_best(
+                    evidence.evaluate(base.effects, {**base.uncatalogued_sizes, joint: size}, base.scales)
+                )
 
     def _refined(self, base: EvaluatedHypothesis, leaves_more: bool) -> tuple[np.ndarray, list[np.ndarray]]:
         """Gains over a hypothesis, with the leaders' parameters refined.
 
-        Forms follow what it leaves if that is more than the model's own error.
+        Parameterisations follow what it leaves if that is more than the model's own error.
         """
         evidence = self.evidence
         if base.effects and leaves_more:
@@ -173,7 +175,7 @@ class Search:
             self._add(fit, [(e, joints, s) for e, joints in driven for s in e.settings(fit, joints)])
         gains, values = evidence.shortlist_gains(base)
         leading = self._promising(base, gains, values, _LEADERS)
-        best = {key: forms[0] for key, forms in leading.items()}
+        best = {key: numbers[0] for key, numbers in leading.items()}
         wanted = [
             (e.effect, e.joints, s) for e in map(evidence.pool.candidate, best.values())
             for s in e.effect.reversing(self.fit, e.joints, e.settings)
@@ -198,8 +200,8 @@ class Search:
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
         for start in range(0, len(wanted), TOGETHER):
             some = fit.candidates(wanted[start : start + TOGETHER], rough=True)
-            new = [c for c in dict.fromkeys(some) if c not in self._known and c.stable]
-            self._known.update(new)
+            new = [c for c in dict.fromkeys(some) if c not in self._made and c.stable]
+            self._made.update(new)
             self.evidence.pool.add(new)
 
     def _promising(
@@ -208,24 +210,24 @@ class Search:
         """The best admissible parameterisations of the effects with the largest gain."""
         evidence = self.evidence
         chosen = [evidence.pool.candidate(k) for k in base.effects]
-        forms_by_effect: dict[EffectKey, list[int]] = {}
+        numbers_by_effect: dict[EffectKey, list[int]] = {}
         for k in np.argsort(-gains).tolist():
             key = evidence.pool.candidate(k).key
-            forms = forms_by_effect.get(key, [])
-            if len(forms) >= _FORMS or (not forms and len(forms_by_effect) >= count):
+            numbers = numbers_by_effect.get(key, [])
+            if len(numbers) >= _PARAMETERISATIONS or (not numbers and len(numbers_by_effect) >= count):
                 continue
             if not _duplicates_law(evidence.pool.candidate(k), chosen) and evidence.possible(k, values[k]):
-                forms_by_effect.setdefault(key, []).append(k)
-        return forms_by_effect
+                numbers_by_effect.setdefault(key, []).append(k)
+        return numbers_by_effect
 
-    def _keep(self, evaluated: EvaluatedHypothesis) -> None:
-        """Keep a hypothesis whose parameters can be true, in its best form."""
+    def _keep_if_best(self, evaluated: EvaluatedHypothesis) -> None:
+        """Keep a hypothesis whose parameters can be true, with its best parameterisations."""
         evidence = self.evidence
         if not all(map(evidence.possible, evaluated.effects, evaluated.values)):
             return
-        key = self._key(map(evidence.pool.candidate, evaluated.effects), evaluated.free)
-        if key not in self._found or self._found[key].log_evidence < evaluated.log_evidence:
-            self._found[key] = evaluated
+        key = self._key(map(evidence.pool.candidate, evaluated.effects), evaluated.uncatalogued_sizes)
+        if key not in self._best_by_key or self._best_by_key[key].log_evidence < evaluated.log_evidence:
+            self._best_by_key[key] = evaluated
 
 
 def _duplicates_law(candidate: Candidate, chosen: Sequence[Candidate]) -> bool:

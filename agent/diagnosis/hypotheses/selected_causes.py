@@ -20,18 +20,18 @@ class Hypothesis:
     """Effects that may act together, and joints with something else that is not in the catalogue.
 
     `log_bayes_factor` is that against no effect. `shares` are posterior probabilities by which of the effects are
-    faults: the healthy arm has the others. `torque[k]` is the largest torque of effect k over nominal.
-    `explained_share` is that of the torque beyond the noise model. `scale` is the largest squared error left on a
-    joint, divided by its noise variance.
+    faults: the healthy arm has the others. `largest_torque[k]` is that of effect k, over nominal.
+    `explained_share` is that of the torque beyond the noise model. `largest_error_ratio` is the largest squared error
+    left on a joint, divided by its noise variance.
     """
 
     effects: tuple[Candidate, ...]
-    free: tuple[int, ...]
+    uncatalogued_joints: tuple[int, ...]
     log_bayes_factor: float
     shares: Mapping[frozenset[EffectKey], float]
-    torque: tuple[float, ...]
+    largest_torque: tuple[float, ...]
     explained_share: float
-    scale: float
+    largest_error_ratio: float
 
     @property
     def probability(self) -> float:
@@ -71,9 +71,9 @@ class SelectedCauses:
     rejected: tuple[tuple[EffectKey, str], ...] = ()
 
     @property
-    def scale(self) -> float:
+    def largest_error_ratio(self) -> float:
         """Largest squared error of a joint without effects, over its noise variance."""
-        return next(h for h in self.hypotheses if not h.effects and not h.free).scale
+        return next(h for h in self.hypotheses if not h.effects and not h.uncatalogued_joints).largest_error_ratio
 
     def irreplaceable(self, number: int) -> bool:
         """Whether a cause in the gear of one joint, by number, is needed next to anything smooth there."""
@@ -84,7 +84,7 @@ class SelectedCauses:
     def keeping(self, kept: Sequence[int], leaves_gap: bool | None = None) -> SelectedCauses:
         """The same selection with some of the causes, by number, and whether there is a gap without them.
 
-        Causes take the forms that they have without the others, if that was evaluated.
+        Causes take the parameterisations that they have without the others, if that was evaluated.
         """
         if leaves_gap is not None:
             return replace(self, leaves_gap=leaves_gap).keeping(kept)
@@ -92,10 +92,11 @@ class SelectedCauses:
             return self
         causes = tuple(self.causes[k] for k in kept)
         effect_keys = {cause.key for cause in causes}
-        by_themselves = next((h for h in self.hypotheses if not h.free and effect_keys == set(h.effect_keys)), None)
+        catalogued = (h for h in self.hypotheses if not h.uncatalogued_joints)
+        by_themselves = next((h for h in catalogued if effect_keys == set(h.effect_keys)), None)
         if by_themselves is not None:
-            forms = dict(zip(by_themselves.effect_keys, by_themselves.effects, strict=True))
-            causes = tuple(forms[cause.key] for cause in causes)
+            evaluated = dict(zip(by_themselves.effect_keys, by_themselves.effects, strict=True))
+            causes = tuple(evaluated[cause.key] for cause in causes)
         return replace(
             self,
             fit=self.plain.with_chosen(causes) if causes else self.plain,

@@ -47,8 +47,8 @@ def power(dataset: Dataset, search: Search, sizes: Mapping[EffectKey, float]) ->
     for (name, joints), size in sizes.items():
         if name not in search.allowed or not (np.isfinite(size) or moved[list(joints)].all()):
             continue
-        at = list(joints) if joints else slice(None)
-        unit = 1.0 if np.isfinite(robot.nominal_torque[at]).all() else float(scale[at].max())
+        joint_index = list(joints) if joints else slice(None)
+        unit = 1.0 if np.isfinite(robot.nominal_torque[joint_index]).all() else float(scale[joint_index].max())
         practical = CATALOGUE[name].practical * unit
         where = ", ".join(robot.joint_names[j] for j in joints) or None
         smallest = float(f"{size * practical:.3g}") if np.isfinite(size) else None  # no more digits mean anything

@@ -272,7 +272,7 @@ def _hypotheses_section(diagnosis: Diagnosis) -> Section:
     rows = []
     for hypothesis in selected.hypotheses[:_MOST_HYPOTHESES]:
         effects = [candidate.text(names) for candidate in hypothesis.effects]
-        effects += [f"something else on {names[joint]}" for joint in hypothesis.free]
+        effects += [f"something else on {names[joint]}" for joint in hypothesis.uncatalogued_joints]
         figures = (
             f"{hypothesis.log_bayes_factor:.1f}",
             f"{hypothesis.probability:.3f}",
