@@ -1,5 +1,6 @@
 from .corrected_simulator import corrected_numbers as corrected_numbers, supported_correction as supported_correction
-from .diagnosis import LARGE_ERROR as LARGE_ERROR, TOGETHER as TOGETHER, Diagnosis as Diagnosis
+from .diagnosis import Diagnosis as Diagnosis
+from .document import NextKind as NextKind
 from .extension import extended_model as extended_model
 from .forward.simulation import Simulated as Simulated, simulate as simulate, simulation_part as simulation_part
 from .forward.windows import (
@@ -14,7 +15,6 @@ from .gap.regime_shares import (
     masks as masks,
     motor_phase_share as motor_phase_share,
 )
-from .gap.stuck_torque import SAME_MOTIONS as SAME_MOTIONS
 from .hypotheses.evidence import Evidence as Evidence
 from .hypotheses.healthy import with_healthy_effects as with_healthy_effects
 from .hypotheses.law import LAW as LAW

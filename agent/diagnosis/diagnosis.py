@@ -15,6 +15,7 @@ from agent.diagnosis.document import (
     FoldNames,
     JointShare,
     NextExperiment,
+    NextKind,
     PathGap,
     Rejected,
     TorqueGap,
@@ -38,9 +39,7 @@ from agent.robot import error_units, position_units
 
 _WHEN_UNKNOWN = "slow single-joint ramps both ways on {joints}, then the same at full speed, each twice"
 #: Next motion where those of a model's fit, often of one joint each, leave its torque open.
-TOGETHER = "motions in which the joints move together, like those of these logs, with a healthy arm"
-#: In the warning of a gap that no effect explains better than what differs on a healthy arm.
-LARGE_ERROR = "times the model's own"
+_TOGETHER = "motions in which the joints move together, like those of these logs, with a healthy arm"
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +109,7 @@ def build(
         tuple(not_testable(dataset, explanation.search, smallest)),
         next_experiment(causes, verdict.name, where, selected.zero_known, bool(dataset.open_joints.any()))
         if stuck_torque is None
-        else NextExperiment((), stuck_torque.motion),
+        else NextExperiment((), stuck_torque.motion, NextKind.REPEAT),
         _folds(dataset),
         (*(() if stuck_torque is None else (stuck_torque.text,)), *warnings, *_warnings(explanation, verdict)),
         explanation.steps,
@@ -122,6 +121,7 @@ def build(
         if verdict.name == "no_gap"
         else tuple(remainders(dataset, gap if dataset.servos is None else explanation.gap)),
         tuple(power(dataset, explanation.search, smallest)),
+        _large_error(explanation),
         dataset.model_error,
         **({} if dataset.servos is None else servo_table(explanation)),
     )
@@ -163,15 +163,25 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
                 f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
                 "uncertainty: estimate it again with motions like these"
             )
-        error = gap.rmse_before / dataset.fit.sigma.min(axis=0)
-        if not selected.leaves_gap and error.max() > LIMITS.usual_error:
+        if _large_error(explanation):
+            error = gap.rmse_before / dataset.fit.sigma.min(axis=0)
             yield (
-                f"the error of {names[int(error.argmax())]} is {error.max():.1f} {LARGE_ERROR}, which may differ from "
-                "day to day on a healthy arm: record more logs, or estimate the model again"
+                f"the error of {names[int(error.argmax())]} is {error.max():.1f} times the model's own, which may "
+                "differ from day to day on a healthy arm: record more logs, or estimate the model again"
             )
     for log in dataset.logs if verdict.name == "unknown" else ():
         if load := log.metadata.get(PAYLOAD):
             yield f"{log.name} says that {load} were at the flange: if they were not, the gap may be that"
+
+
+def _large_error(explanation: Explanation) -> bool:
+    """Whether a joint errs by more than usual of a model of other logs, and no effect explains that better than what
+    differs on a healthy arm."""
+    dataset, selected = explanation.dataset, explanation.selected
+    if explanation.of_file or not dataset.has_reference or selected.causes or selected.leaves_gap:
+        return False
+    error = explanation.as_given.rmse_before / dataset.fit.sigma.min(axis=0)
+    return not dataset.open_joints.any() and bool(error.max() > LIMITS.usual_error)
 
 
 def _where(dataset: Dataset, gap: HeldOutGap) -> tuple[JointShare, ...]:
@@ -211,7 +221,7 @@ def next_experiment(
     None where nothing is open. `zero_known`: there was a log with the drives off. `open_model`: the model's fit
     leaves open the torque of these motions."""
     if verdict == "unknown" and open_model:
-        return NextExperiment((), TOGETHER)
+        return NextExperiment((), _TOGETHER, NextKind.TOGETHER)
     if verdict == "unknown":
         joints = [entry.joint for entry in where if entry.share > LIMITS.majority * where[0].share]
         return NextExperiment((), _WHEN_UNKNOWN.format(joints=", ".join(joints)))
@@ -219,8 +229,10 @@ def next_experiment(
         return None
     pair = (causes[0].effect, *(entry.effect for entry in causes[0].equivalent_to[:1]))
     experiment = min(CATALOGUE[name].experiment for name in pair)
-    motion = experiment.motion if zero_known else experiment.with_brakes
-    return NextExperiment(pair, motion.replace("this joint", " and ".join(causes[0].joints) or "each joint"))
+    on_brakes = bool(experiment.brakes) and not zero_known
+    motion = experiment.with_brakes if on_brakes else experiment.motion
+    motion = motion.replace("this joint", " and ".join(causes[0].joints) or "each joint")
+    return NextExperiment(pair, motion, drives_off=on_brakes)
 
 
 def _folds(dataset: Dataset) -> tuple[FoldNames, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
+from enum import StrEnum
 from typing import Any
 
 SCHEMA = "diagnosis/1"
@@ -117,12 +118,22 @@ class EffectPower:
     practical: float
 
 
+class NextKind(StrEnum):
+    """A next motion that does not separate effects: the same as these, once the torque can be judged, or one whose
+    joints move together, as the model's fit needs."""
+
+    REPEAT = "repeat"
+    TOGETHER = "together"
+
+
 @dataclass(frozen=True)
 class NextExperiment:
-    """A motion that separates effects."""
+    """A motion that separates effects, or is of another `kind`; `drives_off`: after a log with the drives off."""
 
     separates: tuple[str, ...]
     motion: str
+    kind: NextKind | None = None
+    drives_off: bool = False
 
 
 @dataclass(frozen=True)
@@ -164,6 +175,8 @@ class DiagnosisResult:
     remainder: tuple[Remainder, ...] = ()
     #: Of the effects in torque that do not happen only once, on the joints that moved.
     power: tuple[EffectPower, ...] = ()
+    #: Whether a joint errs by more than a healthy arm's usual error, which no effect explains.
+    large_error: bool = False
     #: The model's held-out error over the torque of these logs; None of a simulator's file, which states no error.
     model_error: float | None = None
     #: Per kind of number and joint value, low and high (95 %), where positions are judged; None: only a class is known.
@@ -178,8 +191,11 @@ class DiagnosisResult:
         data = {"schema": SCHEMA, **_plain(self)}
         data["causes"] = [_unless(cause, {"closure_of_joints": None, "slides": False}) for cause in data["causes"]]
         data["gap"] = _unless(data["gap"], {"of": "torque"})
-        usual: dict[str, Any] = {"waterfall": [], "rejected": [], "remainder": [], "model_error": None}
-        return _unless(data, {**usual, "servo": None, "scale_from": None, "servo_over_kp": None})
+        if self.next_experiment is not None:
+            data["next_experiment"] = _unless(data["next_experiment"], {"kind": None, "drives_off": False})
+        usual: dict[str, Any] = {"waterfall": [], "rejected": [], "remainder": [], "large_error": False}
+        usual |= dict.fromkeys(("model_error", "servo", "scale_from", "servo_over_kp"))
+        return _unless(data, usual)
 
 
 def _unless(data: Mapping[str, Any], usual: Mapping[str, Any]) -> dict[str, Any]:

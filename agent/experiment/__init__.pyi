@@ -1,7 +1,6 @@
 from .deadline import Deadline as Deadline, OutOfTime as OutOfTime
 from .known_mass import LONGEST as LONGEST, WithMass as WithMass
 from .next_motion import (
-    BRAKES as BRAKES,
     DRIVES_OFF as DRIVES_OFF,
     NextMotion as NextMotion,
     NoMotion as NoMotion,

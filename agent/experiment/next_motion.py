@@ -26,7 +26,7 @@ from agent.robot import RobotDescription, Tool, TorqueLimits
 from agent.safety import PlannedProgram
 
 DRIVES_OFF = "--drives-off"
-BRAKES = f"record 1 s with the drives off ({DRIVES_OFF} LOG)"
+_BRAKES = f"record 1 s with the drives off ({DRIVES_OFF} LOG)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class NextMotion:
         expected = self.experiment.expected
         load = {} if self.load is None else {PAYLOAD: payload_text(self.load)}
         steps = [f"mount {mass} at the flange (--payload)" for mass in load.values()]
-        steps += [BRAKES] if self.brakes else []
+        steps += [_BRAKES] if self.brakes else []
         steps += [piece.text(self.robot) for piece in self.experiment.pieces]
         return {
             **load,
@@ -66,6 +66,7 @@ class NextMotion:
             "separates": sorted({name for e in expected for name in e.pair.names if name != "none"}),
             "motion": "; then ".join(steps),
             "program": program,
+            **({"drives_off": True} if self.brakes else {}),
             "duration_s": self.planned.duration,
             "probability": [
                 {
@@ -86,18 +87,21 @@ class NextMotion:
 
 @dataclass(frozen=True)
 class NoMotion:
-    """Why no motion is planned, the effects that another test may separate, and a `mass` that makes a motion do it."""
+    """Why no motion is planned, the effects that another test may separate, a `mass` that makes a motion do it, and
+    whether a log with the `drives_off` comes first."""
 
     text: str
     separates: tuple[str, ...] = ()
     mass: WithMass | None = None
+    drives_off: bool = False
 
     def to_dict(self) -> dict[str, Any] | None:
         """`next_experiment` of a diagnosis; None where nothing is open."""
         if not self.separates:
             return None
         mass = {} if self.mass is None else {"with_a_mass": self.mass.to_dict()}
-        return {"separates": list(self.separates), "motion": self.text, "program": None, **mass}
+        drives_off = {"drives_off": True} if self.drives_off else {}
+        return {"separates": list(self.separates), "motion": self.text, "program": None, **drives_off, **mass}
 
 
 def plan_motion(
@@ -159,7 +163,8 @@ def plan_motion(
     first, second = pairs[0].first, pairs[0].second
     what = f"distinguishes {first.text()} from {second.text()}" if second.form is not None else f"shows {first.text()}"
     moving = f"moving the arm cannot settle this: no motion in {where} {what}{why}"
-    return NoMotion(f"{moving}. {advice_without_motion(diagnosis, pairs)}{loads}", names, mass)
+    advice, first_off = advice_without_motion(diagnosis, pairs), zero_distinguishes(diagnosis, pairs[:1])
+    return NoMotion(f"{moving}. {advice}{loads}", names, mass, first_off)
 
 
 def clearer_with_mass(
@@ -197,7 +202,9 @@ def _nothing_to_separate(diagnosis: Diagnosis) -> NoMotion:
     if diagnosis.verdict != "ambiguous":
         return NoMotion("nothing is open: no further motion is needed")
     if not diagnosis.selected.causes and (experiment := diagnosis.document.next_experiment) is not None:
-        return NoMotion(experiment.motion, experiment.separates)  # between numbers of a simulator's file
+        return NoMotion(
+            experiment.motion, experiment.separates, drives_off=experiment.drives_off
+        )  # between numbers of a simulator's file
     effect, joints = diagnosis.selected.causes[0].key
     on = ", ".join(diagnosis.dataset.robot.joint_names[joint] for joint in joints)
     return NoMotion(
@@ -280,7 +287,7 @@ def advice_without_motion(diagnosis: Diagnosis, pairs: Sequence[OpenPair]) -> st
     """What could still distinguish the most urgent pair where no motion does."""
     sides = {side.text(): side.effect for side in (pairs[0].first, pairs[0].second) if side.effect in CATALOGUE}
     looks = "; ".join(f"for {text}, {CATALOGUE[effect].look_at}" for text, effect in sides.items())
-    brakes = f"First, {BRAKES}. If it stays open, try" if zero_distinguishes(diagnosis, pairs[:1]) else "Try"
+    brakes = f"First, {_BRAKES}. If it stays open, try" if zero_distinguishes(diagnosis, pairs[:1]) else "Try"
     return f"{brakes} another posture, load or temperature, or look at the arm: {looks}"
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from agent.core import and_list
 from agent.diagnosis import (
     LIMITS,
-    TOGETHER,
+    NextKind,
     amplitude,
     could_show,
     has_torque_gap,
@@ -92,7 +92,7 @@ def verdict_text(result: Mapping[str, Any]) -> str:
 
 def _not_judged(result: Mapping[str, Any]) -> bool:
     """Whether a gap may be all due to what the model's fit leaves open."""
-    return (result.get("next_experiment") or {}).get("motion") == TOGETHER
+    return (result.get("next_experiment") or {}).get("kind") == NextKind.TOGETHER
 
 
 def verdict_name(result: Mapping[str, Any]) -> str:

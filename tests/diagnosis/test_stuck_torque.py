@@ -74,7 +74,9 @@ def test_reports_a_held_torque_sensor_and_names_no_cause(robot, model):
     (warning,) = _said(found)
     assert warning.startswith(f"the torque of {robot.joint_names[0]} stands still")
     assert "holds its value" in warning
-    assert f"you repair the torque measurement of {robot.joint_names[0]}" in found.result["next_experiment"]["motion"]
+    following = found.result["next_experiment"]
+    assert f"you repair the torque measurement of {robot.joint_names[0]}" in following["motion"]
+    assert following["kind"] == "repeat"
 
 
 @pytest.mark.parametrize(

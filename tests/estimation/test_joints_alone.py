@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from agent.diagnosis import TOGETHER, diagnose
+from agent.diagnosis import NextKind, diagnose
 from agent.estimation import FilterSettings, estimate, motions
 from agent.robot import Dynamics
 from agent.validation import validate
@@ -61,5 +61,5 @@ def test_motion_that_the_fit_leaves_open_is_not_judged(alone):
     plant, model, _ = alone
     result = diagnose(plant.robot, [record(plant, "far", 42, 1.8)], model)
     assert (result.verdict, result.document.causes) == ("unknown", ())
-    assert result.document.next_experiment.motion == TOGETHER
+    assert result.document.next_experiment.kind == NextKind.TOGETHER
     assert any("leave the torque in these logs open" in warning for warning in result.warnings)

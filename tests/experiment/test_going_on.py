@@ -9,7 +9,6 @@ import typer
 
 from agent.cli.app import app
 from agent.core import ControllerError, InputError, MismatchError
-from agent.experiment import BRAKES
 from agent.pipeline import GapQuestion
 from agent.pipeline.ending import resume_advice
 from agent.pipeline.gap.diagnosis_question import options_of
@@ -90,7 +89,7 @@ def test_the_next_log_is_of_the_kind_that_was_given(recorded: str, new: str, tmp
 
 @pytest.mark.parametrize("known", [None, Path("zero.mcap")])
 def test_asks_for_a_drives_off_record_with_its_option(known):
-    experiment = {"motion": f"First, {BRAKES}", "program": None}
+    experiment = {"motion": "the same loop", "program": None, "drives_off": True}
     result = {"verdict": "ambiguous", "causes": [{"effect": "torque_offset"}], "next_experiment": experiment}
     (step,) = after_diagnosis(result, "my robot.yaml", [Path("a.mcap")], replace(ASKED, drives_off=known))
     found = read(step.command)
@@ -99,7 +98,12 @@ def test_asks_for_a_drives_off_record_with_its_option(known):
 
 
 def test_after_a_planned_motion_the_next_commands_record_and_diagnose():
-    planned = {"program": "my plan/program.pdl", "payload": "5 kg, 0 mm, 0 mm, 60 mm", "motion": f"{BRAKES}; a loop"}
+    planned = {
+        "program": "my plan/program.pdl",
+        "payload": "5 kg, 0 mm, 0 mm, 60 mm",
+        "motion": "a loop",
+        "drives_off": True,
+    }
     result = {"verdict": "ambiguous", "causes": [{"effect": "stribeck"}], "next_experiment": planned}
     record, again = after_diagnosis(result, "my robot.yaml", [Path("a b.mcap")], ASKED)
     words = shlex.split(record.command)

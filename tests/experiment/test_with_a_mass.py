@@ -151,6 +151,6 @@ def test_a_load_separates_load_dependent_friction_from_other_friction():
     assert load_distinguishes(found.dataset, found.selected.evidence, by_load, [motion], load)
     sides = []
     for name in ("friction_change", "viscous_nonlinearity"):
-        form, *_ = next(Search(found.dataset.fit, only={(name, (1,))}).forms())
+        form, *_ = next(Search(found.dataset.fit, only={(name, (1,))}).candidates())
         sides.append(Side(name, ("joint_2",), form, np.ones(len(form.names))))
     assert not load_distinguishes(found.dataset, found.selected.evidence, [OpenPair(*sides)], [motion], load)

@@ -22,7 +22,6 @@ from agent.model import known_effects
 
 _WINDOWS = tuple(LIMITS.row_correlation_time * 2.0**k for k in range(-1, 4))  # numerical: s
 _QUARTILE = float(ndtri(3 / 4))  # derived: half of normal errors are smaller, in standard deviations
-SAME_MOTIONS = "the same motions"  # to record again
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class StuckTorque:
     @property
     def motion(self) -> str:
         """Next motion to record."""
-        return f"{SAME_MOTIONS} again, after you repair the torque measurement of {self.joint}"
+        return f"the same motions again, after you repair the torque measurement of {self.joint}"
 
 
 def stuck_torque(dataset: Dataset, fitted: Fit) -> StuckTorque | None:

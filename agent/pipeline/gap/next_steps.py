@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from agent.diagnosis import LARGE_ERROR, SAME_MOTIONS, TOGETHER, could_show
-from agent.experiment import BRAKES, DRIVES_OFF
+from agent.diagnosis import NextKind, could_show
+from agent.experiment import DRIVES_OFF
 from agent.model import CATALOGUE, PAYLOAD, IdentifiedModel
 from agent.pages import NextStep
 from agent.pipeline.gap.diagnosis_question import PLANNING_BUDGET, GapQuestion
@@ -35,7 +35,7 @@ def after_diagnosis(
     if result["verdict"] == "no_gap":
         return [_after_no_gap(result, named, question, logs)]
     new, experiment = _new_log(logs), result["next_experiment"] or {}
-    replaced = experiment.get("motion", "").startswith(SAME_MOTIONS)  # by logs with a torque that can be judged
+    replaced = experiment.get("kind") == NextKind.REPEAT  # by logs with a torque that can be judged
     words, paths = ["agent", "diagnose", *named, *asked.options()], [] if replaced else list(map(str, logs))
     again = shlex.join([*words, *paths])
     loaded = []
@@ -46,10 +46,10 @@ def after_diagnosis(
         loaded = [NextStep(what, shlex.join([*words, "--next", str(recipe), "--payload", mass, "-o", folder, *paths]))]
     if question.next_recipe is not None and experiment.get("program"):
         return [*_run_planned(experiment, question.next_recipe, again, new), *loaded]
-    if experiment.get("motion") == TOGETHER:
+    if experiment.get("kind") == NextKind.TOGETHER:
         return [_estimate_again(named, question.model, new)]
     if not result["causes"] or result["verdict"] == "ambiguous":
-        if DRIVES_OFF in experiment.get("motion", "") and question.drives_off is None:
+        if experiment.get("drives_off") and question.drives_off is None:
             again = shlex.join([*words, DRIVES_OFF, _BRAKES_LOG, *paths])
             return [NextStep(f"record 1 s with the drives off as {_BRAKES_LOG}, then diagnose again:", again), *loaded]
         return [NextStep(f"record the next motion as {new}, then diagnose again:", f"{again} {new}"), *loaded]
@@ -79,7 +79,7 @@ def _run_planned(experiment: Mapping[str, Any], planned_for: Path, again: str, n
     record = ["agent", "record", str(planned_for), "--program", str(program)]
     record += [] if mass is None else ["--payload", mass]
     first = "" if mass is None else f"mount {mass} at the flange, then "
-    on_brakes = " and --drives-off LOG" if BRAKES in experiment["motion"] else ""
+    on_brakes = " and --drives-off LOG" if experiment.get("drives_off") else ""
     with_it = f"{again} {shlex.quote(str(program.with_suffix('.mcap')))}"
     return [
         NextStep(f"{first}run the planned motion:", shlex.join(record)),
@@ -107,8 +107,8 @@ def _after_no_gap(
 ) -> NextStep:
     """The step after a diagnosis that found nothing, also where its logs could not show a change."""
     if could_show(result):
-        large = any(LARGE_ERROR in warning for warning in result["warnings"])
-        return NextStep("record more logs, or estimate again." if large else "nothing to do: keep the model.")
+        more = result.get("large_error")
+        return NextStep("record more logs, or estimate again." if more else "nothing to do: keep the model.")
     if question.model is None:
         more = shlex.join(["agent", "diagnose", *named, "--next", "RECIPE", "-o", "next", *map(str, logs)])
         return NextStep("plan a motion that shows more:", more)
