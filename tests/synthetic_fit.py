@@ -67,20 +67,22 @@ def synthetic_fit(given: bool = True, method: str = "weighted", guard: int = 9) 
 def synthetic_form(fit: Fit, effect: Any, joints: tuple[int, ...], width: int = 1, prior: Any = None) -> Candidate:
     """A candidate with `width` made-up columns on some joints, or on all of them where it is of the whole arm."""
     rng = np.random.default_rng([*effect.name.encode(), *joints])
-    lasts = np.abs(np.arange(len(fit.cell)) - 40) < 25 if effect.is_transient({}) else np.ones(len(fit.cell))
-    blocks = {joint: _smooth(rng, len(fit.cell), width) * lasts[:, None] for joint in joints or range(2)}
+    lasts = (
+        np.abs(np.arange(len(fit.cell_of_row)) - 40) < 25 if effect.is_transient({}) else np.ones(len(fit.cell_of_row))
+    )
+    blocks = {joint: _smooth(rng, len(fit.cell_of_row), width) * lasts[:, None] for joint in joints or range(2)}
     return Candidate(effect, joints, {}, tuple("abc"[:width]), blocks, prior, fit.reference)
 
 
 def written_out(fit: Fit, forms: Sequence[Candidate], white: bool = True) -> tuple[np.ndarray, list[slice]]:
     """(2, S, 5 + k + 1) rows over σ of each joint: columns of model and forms, and residual; and where each form is."""
     ends = 5 + np.cumsum([0, *(len(form.names) for form in forms)])
-    whole, spans = np.zeros((2, len(fit.cell), ends[-1] + 1)), [slice(a, b) for a, b in pairwise(ends)]
+    whole, spans = np.zeros((2, len(fit.cell_of_row), ends[-1] + 1)), [slice(a, b) for a, b in pairwise(ends)]
     for j, rows in enumerate(fit.rows):
-        whole[j][:, [*fit.index[j], -1]] = rows
+        whole[j][:, [*fit.parameter_index[j], -1]] = rows
         for form, span in zip(forms, spans, strict=True):
             whole[j][:, span] = form.blocks.get(j, 0.0)
-        whole[j] = fit.rests.whitened(j, whole[j]) if white else whole[j]
+        whole[j] = fit.whitening.whitened(j, whole[j]) if white else whole[j]
     return whole, spans
 
 

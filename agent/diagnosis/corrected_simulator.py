@@ -153,7 +153,7 @@ def held_out_errors(diagnosis: Diagnosis, simulator: Simulator) -> tuple[np.ndar
     before, remaining = diagnosis.gap.error_before, np.full(diagnosis.gap.error_before.shape, np.nan)
     as_given = _predicted(fit, simulator.model)
     for number, fold in enumerate(fit.folds):
-        rows = np.isin(fit.cell, np.flatnonzero(fold.test))
+        rows = np.isin(fit.cell_of_row, np.flatnonzero(fold.test))
         fixed = _predicted(fit, corrected_numbers(diagnosis, simulator, number).model)
         remaining[rows] = (dataset.residual + as_given - fixed)[rows]
     remaining = np.where(np.isnan(before), np.nan, remaining)

@@ -191,7 +191,7 @@ def _where(dataset: Dataset, gap: HeldOutGap) -> tuple[JointShare, ...]:
     if excess.sum() <= 0:
         excess = gap.before**2 + 1e-300
     share = excess / excess.sum()
-    interval = share_intervals(raw, floor, dataset.fit.block)
+    interval = share_intervals(raw, floor, dataset.fit.segment_of_row)
     return tuple(
         JointShare(
             dataset.robot.joint_names[joint],

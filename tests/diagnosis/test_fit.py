@@ -39,7 +39,7 @@ def forms(plain, request) -> list[Candidate]:
 def least_squares(fit: Fit, forms: Sequence[Candidate], train: np.ndarray = ALL) -> tuple[np.ndarray, np.ndarray]:
     """Precision (p + k, p + k) and parameters (p + k,) from rows of some cells."""
     rows, spans = written_out(fit, forms)
-    rows, cell = rows.reshape(-1, rows.shape[-1]), np.tile(fit.cell, 2)
+    rows, cell = rows.reshape(-1, rows.shape[-1]), np.tile(fit.cell_of_row, 2)
     prior = np.diag(1e-7 * np.sum(rows[cell >= 0, :-1] ** 2, axis=0) / REPEAT + 1e-12)
     prior[:5, :5] = fit.precision
     for form, span in zip(forms, spans, strict=True):
@@ -58,7 +58,10 @@ def left_by(fit: Fit, forms: Sequence[Candidate], parameters: np.ndarray) -> np.
 
 def held_out_error(fit: Fit, forms: Sequence[Candidate], folds: Sequence[Fold]) -> float:
     """Squared errors over σ of rows that are held out; guards are judged by none."""
-    rows, parts = written_out(fit, forms)[0], [(fold.test[fit.cell] & (fit.cell >= 0), fold.train) for fold in folds]
+    rows, parts = (
+        written_out(fit, forms)[0],
+        [(fold.test[fit.cell_of_row] & (fit.cell_of_row >= 0), fold.train) for fold in folds],
+    )
     return sum(np.sum((rows[:, held] @ [*least_squares(fit, forms, train)[1], -1]) ** 2) for held, train in parts)
 
 
@@ -78,9 +81,9 @@ def test_fits_are_least_squares_over_the_rows_that_are_not_held_out(plain, forms
     assert [len(part) for part in fit.residuals] == [len(part) for part in fit.sigmas] == [120, 50, 50]
     kept = np.append(fitted[:5] * (not fit.keeps_parameters), fitted[5:])
     close(np.concatenate(fit.residuals_as_given), left_by(fit, forms, kept))
-    assert fit.count.tolist() == [2 * np.sum(fit.cell == k) for k in range(4)]
+    assert fit.count.tolist() == [2 * np.sum(fit.cell_of_row == k) for k in range(4)]
     assert fit.transient == any(form.transient for form in forms)
-    inside = fit.rests.inside(len(fit.cell))
+    inside = fit.whitening.inside(len(fit.cell_of_row))
     assert np.array_equal(fit.near_rest, inside | (fit.sigma > [0.81, 0.31]))
     assert inside.any()
     with patch("agent.diagnosis.rows.fit.LIMITS", replace(LIMITS, row_correlation_time=1e-3)):
@@ -96,7 +99,7 @@ def test_rows_that_are_held_out_are_judged_by_the_fit_to_the_others(plain, forms
         fitted = least_squares(fit, forms, fold.train)[1]
         change, values = fit.fitted(fold)
         close(np.concatenate([change, *values]), fitted)
-        held = fold.test[fit.cell] & (fit.cell >= 0)
+        held = fold.test[fit.cell_of_row] & (fit.cell_of_row >= 0)
         for left, span in zip(expected, (slice(0, 0), *spans), strict=True):
             some = fitted.copy()
             some[span] = 0
@@ -132,7 +135,7 @@ def test_a_column_takes_as_much_energy_as_a_fit_with_it(forms):
         return fitted @ np.einsum("jsk,js->k", rows[..., :-1], rows[..., -1]), fitted[-1]
 
     for joint in range(2):
-        columns = 1e-3 * np.random.default_rng(joint).normal(size=(len(fit.cell), 2))
+        columns = 1e-3 * np.random.default_rng(joint).normal(size=(len(fit.cell_of_row), 2))
         for column, *found in zip(columns.T, *fit.energy_taken(joint, columns), strict=True):
             more = {joint: column[:, None] / fit.sigma[:, [joint]]}
             both, factor = taken([*forms, replace(synthetic_form(fit, FORMS[0][0], (joint,)), blocks=more)])

@@ -163,7 +163,7 @@ def case(request):
     fit = synthetic_fit(request.param != "drawn", SIMULATOR if request.param == "file" else "weighted")
     forms = [synthetic_form(fit, *form) for form in FORMS]
     forms[5].blocks[1][:, 1] = 0
-    forms[3].blocks[1] *= 1e-3 * (np.arange(len(fit.cell)) % 40 > 10)[:, None]
+    forms[3].blocks[1] *= 1e-3 * (np.arange(len(fit.cell_of_row)) % 40 > 10)[:, None]
     left = [rows[:, -1] + 3 * rows[:, 1:3].sum(axis=1) for rows in fit.rows]  # also of friction on another day
     for number, size in ((0, 1.0), (2, 0.6), (4, 2.5)):
         for joint, block in forms[number].blocks.items():
@@ -320,7 +320,7 @@ def test_the_noise_model_trusts_no_form_beyond_a_limit_and_has_no_columns_that_t
     counts = [[noise.column_counts(j)[1] for j in range(2)] for noise in (plain, less, more)]
     assert [np.subtract(each, counts[0]).tolist() for each in counts[1:]] == [[0, 0], [0, 2]]
     with patch.object(noise_model, "ROW_SPACING", PERIOD):
-        assert NoiseModel(fit, [], (), THE_LAW).rows == len(fit.cell)
+        assert NoiseModel(fit, [], (), THE_LAW).rows == len(fit.cell_of_row)
     form = [plain.variance(1, 2.0, form, {}) - plain.variance(1, 2.0, 0.0, {}) for form in (39_000.0, 41_000.0)]
     assert form == pytest.approx([97.5, 100.0])
 

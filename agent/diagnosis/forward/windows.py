@@ -93,7 +93,7 @@ def _windows(diagnosis: Diagnosis) -> list[ForwardWindow]:
             continue
         parts = [m for m in motions(log, settings, reduce=False) if m.torque is not None]
         for fold, held_out in enumerate(fit.folds):
-            rows = np.isin(fit.cell, np.flatnonzero(held_out.test)) & (dataset.log == number)
+            rows = np.isin(fit.cell_of_row, np.flatnonzero(held_out.test)) & (dataset.log == number)
             if not rows.any():
                 continue
             first, last = dataset.time[rows].min(), dataset.time[rows].max()

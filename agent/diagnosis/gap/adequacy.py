@@ -87,7 +87,7 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
         return variances
     ends = len(fit.precision) + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
     for joint in {joint for candidate in fit.chosen for joint in candidate.blocks}:
-        parts, at = [fit.rows[joint][:, :-1]], [fit.index[joint]]
+        parts, at = [fit.rows[joint][:, :-1]], [fit.parameter_index[joint]]
         for candidate, a, b in zip(fit.chosen, ends[:-1], ends[1:], strict=True):
             if joint in candidate.blocks:
                 parts.append(candidate.blocks[joint])
@@ -96,7 +96,7 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
         variance = np.zeros(len(columns))
         for fold in fit.test_folds:
             inverse = fit.solve(fold.train)[0][np.ix_(places, places)]
-            test = np.isin(fit.cell, np.flatnonzero(fold.test))
+            test = np.isin(fit.cell_of_row, np.flatnonzero(fold.test))
             variance[test] = np.einsum("si,ij,sj->s", columns[test], inverse, columns[test], optimize=True)
         here = moving[:, joint]
         variances[joint] = float(np.mean(variance[here] * fit.sigma[here, joint] ** 2)) if here.any() else 0.0

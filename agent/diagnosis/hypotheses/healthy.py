@@ -132,10 +132,12 @@ def _of_others(fit: Fit, logs: int) -> tuple[np.ndarray, list[np.ndarray]]:
     residual, precision = np.empty(fit.sigma.shape), list[np.ndarray]()
     for number in range(logs):
         rows = fit.rows_of(number)
-        cells = np.unique(fit.cell[rows][fit.cell[rows] >= 0])
+        cells = np.unique(fit.cell_of_row[rows][fit.cell_of_row[rows] >= 0])
         folds = [fold for fold in fit.folds if fold.test[cells].any()]
         for fold in reversed(folds):  # a guard between parts of one log goes with the first
-            judged = np.isin(fit.cell[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (fit.cell[rows] < 0)
+            judged = np.isin(fit.cell_of_row[rows], np.flatnonzero(fold.test)) | (fold is folds[0]) & (
+                fit.cell_of_row[rows] < 0
+            )
             residual[rows][judged] = fit.remaining(fit.solve(fold.train)[1])[rows][judged]
         precision.append(np.linalg.inv(fit.solve(folds[0].train)[0]))
     return residual, precision

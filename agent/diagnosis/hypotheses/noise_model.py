@@ -72,7 +72,7 @@ class NoiseModel:
         signals = fit.signals
         kept_time = np.concatenate([s.time[s.kept] for s in signals])
         rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
-        self._whitening, self._step = fit.rests, max(1, round(ROW_SPACING * rate))
+        self._whitening, self._step = fit.whitening, max(1, round(ROW_SPACING * rate))
         thin = slice(None, None, self._step)
         self.sigma, self.nominal = fit.sigma[thin], fit.reference.scale
         self.rows = len(self.sigma)
@@ -98,13 +98,13 @@ class NoiseModel:
         self.moments: list[np.ndarray] = []
         self._widths: list[tuple[int, int, int]] = []
         for j, rows in enumerate(fit.rows):
-            model_rows = fit.rests.whitened(j, rows)[thin]
+            model_rows = fit.whitening.whitened(j, rows)[thin]
             smooth = smooth_columns(q[:, j], qd[:, j], qdd[:, j], kept_time[thin], log)
             shared = np.hstack([smooth * (base[j] / self.sigma[:, j])[:, None], *usual.get(j, ())])
             amounts = [self.thinned(h.candidate, j) * h.amount for h in healthy if j in h.candidate.blocks]
             self.torque_share.append(_torque_share(amounts))
             amounts = [self.torque_share[j] * columns for columns in amounts]
-            known = np.hstack([*amounts, model_rows[:, :-1] @ spread[fit.index[j]]])
+            known = np.hstack([*amounts, model_rows[:, :-1] @ spread[fit.parameter_index[j]]])
             of_log = self._turned(self._noticed(known))
             columns = np.hstack([model_rows[:, :-1], shared, of_log, model_rows[:, -1:]])
             self._widths.append((model_rows.shape[1] - 1, shared.shape[1], of_log.shape[1]))

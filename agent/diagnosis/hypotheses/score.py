@@ -97,7 +97,7 @@ class Score:
         self.pool = CandidatePool(noise)
         rounds = _ROUNDS + 1  # in which the scales are fitted
         self._moments = lru_cache(maxsize=rounds * self.dof)(self.pool.moments)
-        self._index, self._prior_information = list(fit.index), fit.prior_information
+        self._index, self._prior_information = list(fit.parameter_index), fit.prior_information
         self._friction = _varying_friction(fit)
         self._friction_columns = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
         self.prior = _prior_with_daily_friction(fit, self._friction, law.daily)

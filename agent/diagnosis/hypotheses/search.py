@@ -12,7 +12,7 @@ from agent.diagnosis.hypotheses.noise_model import Healthy
 from agent.diagnosis.hypotheses.posterior import Observed, compare
 from agent.diagnosis.hypotheses.score import EvaluatedHypothesis
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
-from agent.diagnosis.rows.candidate import TOGETHER, Candidate, EffectKey, Wanted
+from agent.diagnosis.rows.candidate import MADE_AT_ONCE, Candidate, EffectKey, Wanted
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.needs import MotionCoverage
 from agent.model import CATALOGUE
@@ -122,7 +122,10 @@ class Search:
     def candidates(self) -> Iterator[list[Candidate]]:
         """Yield every effect on all its possible joints, with the grid of its nonlinear parameters, some at a time."""
         wanted = self._grid()
-        return (self._stable_candidates(wanted[first : first + TOGETHER]) for first in range(0, len(wanted), TOGETHER))
+        return (
+            self._stable_candidates(wanted[first : first + MADE_AT_ONCE])
+            for first in range(0, len(wanted), MADE_AT_ONCE)
+        )
 
     def _grid(self) -> list[Wanted]:
         wanted: list[Wanted] = [
@@ -198,8 +201,8 @@ class Search:
         return gains, values
 
     def _add(self, fit: Fit, wanted: Sequence[Wanted]) -> None:
-        for start in range(0, len(wanted), TOGETHER):
-            some = fit.candidates(wanted[start : start + TOGETHER], rough=True)
+        for start in range(0, len(wanted), MADE_AT_ONCE):
+            some = fit.candidates(wanted[start : start + MADE_AT_ONCE], rough=True)
             new = [c for c in dict.fromkeys(some) if c not in self._made and c.stable]
             self._made.update(new)
             self.evidence.pool.add(new)

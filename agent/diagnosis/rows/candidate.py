@@ -18,7 +18,7 @@ Wanted = tuple[Effect, tuple[int, ...], Mapping[str, float]]
 _Motions = Sequence[tuple[MotionSignals, np.ndarray]]  # each with its noise level (S', n) [N·m]
 
 _AT_ONCE = 16  # numerical: columns filtered together, so that they stay in the cache
-TOGETHER = 64  # numerical: candidates made together: their intermediate arrays take as much memory as they do
+MADE_AT_ONCE = 64  # numerical: candidates made together: their intermediate arrays take as much memory as they do
 
 
 class Blocks(Mapping[int, np.ndarray]):
@@ -123,8 +123,8 @@ def make_candidates(context: FitContext, wanted: Sequence[Wanted], rough: bool =
     for (effect, joints, settings), blocks in zip(wanted, _all_columns(motions, wanted, rough), strict=True):
         prior = effect.prior_precision(context, joints, settings)
         # not the context: it remembers the candidate, and a circle is not freed with the last reference
-        again = partial(_made_again, motions, (effect, joints, settings))
-        columns, names = blocks if few else Blocks(blocks, again), effect.names(settings)
+        make_again = partial(_made_again, motions, (effect, joints, settings))
+        columns, names = blocks if few else Blocks(blocks, make_again), effect.names(settings)
         stable = all(np.abs(block).max(initial=0.0) < 1e15 for block in blocks.values())
         made.append(Candidate(effect, joints, dict(settings), names, columns, prior, context.reference, stable))
     return made
@@ -139,8 +139,8 @@ def _all_columns(motions: _Motions, wanted: Sequence[Wanted], rough: bool = Fals
     kinds, signals = {effect for effect, *_ in wanted}, [signals for signals, _ in motions]
     for kind in kinds:
         kind.prepare(signals, [(joints, settings) for effect, joints, settings in wanted if effect is kind])
-    starts = range(0, len(wanted), TOGETHER)
-    made = [made for first in starts for made in _columns(motions, wanted[first : first + TOGETHER], rough)]
+    starts = range(0, len(wanted), MADE_AT_ONCE)
+    made = [made for first in starts for made in _columns(motions, wanted[first : first + MADE_AT_ONCE], rough)]
     for kind in kinds:
         kind.release(signals)
     return made
@@ -154,16 +154,18 @@ def _columns(motions: _Motions, wanted: Sequence[Wanted], rough: bool) -> list[d
         if signals.position_response is not None:
             _add_in_positions(signals, over, wanted, parts)
             continue
-        ready = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
-        for some in _batches(signals, [(k, wanted[k]) for k, of_motion in enumerate(ready) if of_motion is None]):
-            filtered = signals.low_pass(np.concatenate([block.T for *_, block in some], dtype=precision).T)
+        filtered_by_effect = [effect.filtered(signals, joints, settings) for effect, joints, settings in wanted]
+        for some in _batches(
+            signals, [(k, wanted[k]) for k, columns in enumerate(filtered_by_effect) if columns is None]
+        ):
+            block_rows = signals.low_pass(np.concatenate([block.T for *_, block in some], dtype=precision).T)
             ends = np.cumsum([block.shape[1] for *_, block in some])[:-1]
-            for (number, joint, _), block in zip(some, np.split(filtered, ends, axis=1), strict=True):
+            for (number, joint, _), block in zip(some, np.split(block_rows, ends, axis=1), strict=True):
                 parts[number].setdefault(joint, []).append(block / over[joint])
-        for number, blocks in enumerate(ready):
+        for number, blocks in enumerate(filtered_by_effect):
             for joint, block in (blocks or {}).items():
                 parts[number].setdefault(joint, []).append(np.divide(block, over[joint], dtype=precision))
-    return [{joint: np.concatenate(block) for joint, block in of_motion.items()} for of_motion in parts]
+    return [{joint: np.concatenate(block) for joint, block in by_joint.items()} for by_joint in parts]
 
 
 def _add_in_positions(
@@ -184,11 +186,11 @@ def _add_in_positions(
     if not torques:
         return
     columns = [effect.columns(signals, joints, settings) for effect, joints, settings in (wanted[k] for k in torques)]
-    widths = [next(iter(of_form.values())).shape[1] for of_form in columns]
+    widths = [next(iter(by_joint.values())).shape[1] for by_joint in columns]
     ends = np.cumsum([0, *widths])
     together: dict[int, np.ndarray] = {}
-    for of_form, first, last in zip(columns, ends[:-1], ends[1:], strict=True):
-        for joint, block in of_form.items():
+    for by_joint, first, last in zip(columns, ends[:-1], ends[1:], strict=True):
+        for joint, block in by_joint.items():
             into = together.setdefault(joint, np.zeros((len(signals.time), int(ends[-1]))))
             into[:, first:last] = block
     for joint, moved in signals.position_response(together).items():

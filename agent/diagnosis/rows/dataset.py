@@ -69,7 +69,7 @@ class Dataset:
         error = np.zeros(self.robot.dof)
         if not self.has_reference or self.model.method == SIMULATOR:
             return error
-        for joint, (rows, index) in enumerate(zip(self.fit.rows, self.fit.index, strict=True)):
+        for joint, (rows, index) in enumerate(zip(self.fit.rows, self.fit.parameter_index, strict=True)):
             columns = rows[:, :-1] * self.fit.sigma[:, joint, None]
             moments = columns.T @ columns / len(columns)
             error[joint] = np.sqrt(max(np.sum(moments * self.model.covariance[np.ix_(index, index)]), 0.0))

@@ -30,9 +30,10 @@ from agent.model import Effect, MotionSignals, NominalModel
 class Fit:
     """The residual of a model on some logs, ready to try candidates on.
 
-    rows[j] (S', p_j + 1): columns of the model's parameters index[j] and the residual of joint j, over `sigma` (S', n);
-    `cell` (S',) of every row (-1: guard); `block` (S',) segment of the motion, the same in all of its cycles; `folds`
-    for what repeats, `segment_folds` for what happens once. `rests` are found where none are given.
+    rows[j] (S', p_j + 1): columns of the model's parameters parameter_index[j] and the residual of joint j, over
+    `sigma` (S', n); `cell_of_row` (S',), -1: guard; `segment_of_row` (S',) of the motion, the same in all of its
+    cycles; `folds` for what repeats, `segment_folds` for what happens once. `whitening` is of the motions where none is
+    given.
     """
 
     def __init__(
@@ -40,26 +41,27 @@ class Fit:
         reference: NominalModel,
         signals: Sequence[MotionSignals],
         rows: Sequence[np.ndarray],
-        index: Sequence[np.ndarray],
+        parameter_index: Sequence[np.ndarray],
         sigma: np.ndarray,
         precision: np.ndarray,
         prior_information: np.ndarray,
-        cell: np.ndarray,
-        block: np.ndarray,
+        cell_of_row: np.ndarray,
+        segment_of_row: np.ndarray,
         folds: Sequence[Fold],
         segment_folds: Sequence[Fold],
-        rests: StandstillWhitening | None = None,
+        whitening: StandstillWhitening | None = None,
     ):
         self.reference, self.signals = reference, list(signals)
-        self.rows, self.index = list(rows), list(index)
+        self.rows, self.parameter_index = list(rows), list(parameter_index)
         self.sigma, self.precision, self.prior_information = sigma, precision, prior_information
-        self.cell, self.block, self.folds, self.segment_folds = cell, block, list(folds), list(segment_folds)
+        self.cell_of_row, self.segment_of_row = cell_of_row, segment_of_row
+        self.folds, self.segment_folds = list(folds), list(segment_folds)
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.rows_per_independent = max(1.0, LIMITS.row_correlation_time * rate)
-        self.rests = StandstillWhitening.of(self.signals, self.rows_per_independent) if rests is None else rests
-        self._moments = FitMoments(self.rows, self.index, cell, len(precision), self.rests)
+        self.whitening = whitening or StandstillWhitening.of(self.signals, self.rows_per_independent)
+        self._moments = FitMoments(self.rows, self.parameter_index, cell_of_row, len(precision), self.whitening)
         self.cells, self.count = self._moments.cells, self._moments.count
         self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
         self._extend(())
@@ -76,16 +78,16 @@ class Fit:
         self.prior = np.zeros((size, size))
         self.prior[:base, :base] = self.precision
         spans = [slice(a, b) for a, b in pairwise(ends)]
-        known = self._moments.of(self.chosen)
-        for number, (candidate, span, (cross, own)) in enumerate(zip(self.chosen, spans, known, strict=True)):
+        moments = self._moments.of(self.chosen)
+        for number, (candidate, span, (cross, squares)) in enumerate(zip(self.chosen, spans, moments, strict=True)):
             self.gram[:, keep, span] = cross
             self.gram[:, span, keep] = np.swapaxes(cross, 1, 2)
-            self.gram[:, span, span] = own
+            self.gram[:, span, span] = squares
             for other, other_span in zip(self.chosen[:number], spans[:number], strict=True):
-                (cross_moments,) = self._moments.between(other, [candidate])
-                self.gram[:, other_span, span] = cross_moments
-                self.gram[:, span, other_span] = np.swapaxes(cross_moments, 1, 2)
-            self.prior[span, span] = self.ridge(candidate, own.sum(axis=0).diagonal())
+                (between,) = self._moments.between(other, [candidate])
+                self.gram[:, other_span, span] = between
+                self.gram[:, span, other_span] = np.swapaxes(between, 1, 2)
+            self.prior[span, span] = self.ridge(candidate, squares.sum(axis=0).diagonal())
         self._padded_information = np.zeros(size)
         self._padded_information[:base] = self.prior_information
         self._solved: dict[int, tuple[np.ndarray, np.ndarray]] = {}
@@ -122,15 +124,15 @@ class Fit:
             self.reference,
             self.signals,
             rows,
-            self.index,
+            self.parameter_index,
             sigma,
             self.precision,
             self.prior_information,
-            self.cell,
-            self.block,
+            self.cell_of_row,
+            self.segment_of_row,
             self.folds,
             self.segment_folds,
-            self.rests,
+            self.whitening,
         )
 
     @property
@@ -156,16 +158,32 @@ class Fit:
     def rows_of(self, number: int) -> slice:
         """Rows of a log."""
         motions = [k for k, signals in enumerate(self.signals) if signals.log_index == number]
-        ends = np.concatenate([[0], self.cuts, [len(self.cell)]])
+        ends = np.concatenate([[0], self.cuts, [len(self.cell_of_row)]])
         return slice(int(ends[motions[0]]), int(ends[motions[-1] + 1]))
 
     def of_log(self, number: int, precision: np.ndarray) -> Fit:
         """One log alone, without effects, and with another prior precision (p, p) of the model's parameters."""
         log_rows, no_information = self.rows_of(number), np.zeros(len(self.precision))
-        rows, sigma, block = [rows[log_rows] for rows in self.rows], self.sigma[log_rows], self.block[log_rows]
+        rows, sigma, segments = (
+            [rows[log_rows] for rows in self.rows],
+            self.sigma[log_rows],
+            self.segment_of_row[log_rows],
+        )
         signals = [of_motion for of_motion in self.signals if of_motion.log_index == number]
-        cell = np.zeros(len(sigma), dtype=int)
-        return Fit(self.reference, signals, rows, self.index, sigma, precision, no_information, cell, block, [], [])
+        one_cell = np.zeros(len(sigma), dtype=int)
+        return Fit(
+            self.reference,
+            signals,
+            rows,
+            self.parameter_index,
+            sigma,
+            precision,
+            no_information,
+            one_cell,
+            segments,
+            [],
+            [],
+        )
 
     @property
     def sigmas(self) -> list[np.ndarray]:
@@ -190,7 +208,7 @@ class Fit:
     @property
     def near_rest(self) -> np.ndarray:
         """(S', n) bool: rows so near to a standstill that stiction leaves more open than the model's error."""
-        return (self.sigma > np.sqrt(2) * self.sigma.min(axis=0)) | self.rests.inside(len(self.sigma))
+        return (self.sigma > np.sqrt(2) * self.sigma.min(axis=0)) | self.whitening.inside(len(self.sigma))
 
     @property
     def residuals(self) -> list[np.ndarray]:
@@ -213,8 +231,8 @@ class Fit:
         """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
         base = len(self.precision)
         ends = base + np.cumsum([0, *(len(c.names) for c in self.chosen)])
-        residual = np.empty((len(self.cell), len(self.rows)))
-        for joint, (rows, index) in enumerate(zip(self.rows, self.index, strict=True)):
+        residual = np.empty((len(self.cell_of_row), len(self.rows)))
+        for joint, (rows, index) in enumerate(zip(self.rows, self.parameter_index, strict=True)):
             column = rows[:, -1] - rows[:, :-1] @ parameters[index]
             for candidate, (a, b) in zip(self.chosen, pairwise(ends), strict=True):
                 if joint in candidate.blocks:
@@ -240,12 +258,12 @@ class Fit:
         """
         if without not in self._held_out:
             ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
-            result = np.full((len(self.cell), len(self.rows)), np.nan)
+            result = np.full((len(self.cell_of_row), len(self.rows)), np.nan)
             for fold in self.test_folds:
                 parameters = self.solve(fold.train)[1].copy()
                 if without is not None:
                     parameters[ends[without] : ends[without + 1]] = 0
-                test = np.isin(self.cell, np.flatnonzero(fold.test))
+                test = np.isin(self.cell_of_row, np.flatnonzero(fold.test))
                 result[test] = self.remaining(parameters)[test]
             result.flags.writeable = False
             self._held_out[without] = result
@@ -294,18 +312,20 @@ class Fit:
         """(k,) parameters fitted to all the data together with the model, under its prior."""
         candidate = self.candidate(effect, joints, settings)
         inverse, without_it = self.solve(np.ones(self.cells, dtype=bool))
-        ((cross, own),) = self._moments.of([candidate])
+        ((cross, squares),) = self._moments.of([candidate])
         others = [self._moments.between(other, [candidate])[0] for other in self.chosen]
-        *known, side = (
+        *with_fit, side = (
             np.concatenate([cross[:, :-1], *others, cross[:, -1:]], axis=1).sum(axis=0) / self.rows_per_independent
         )
-        square, known = own.sum(axis=0), np.reshape(known, (self.size, -1))
+        square, with_fit = squares.sum(axis=0), np.reshape(with_fit, (self.size, -1))
         schur = (
-            square / self.rows_per_independent + self.ridge(candidate, square.diagonal()) - known.T @ inverse @ known
+            square / self.rows_per_independent
+            + self.ridge(candidate, square.diagonal())
+            - with_fit.T @ inverse @ with_fit
         )
         unit = 1 / np.sqrt(np.maximum(schur.diagonal(), 1e-300))
         candidate.release()
-        return np.asarray(unit * np.linalg.solve(schur * np.outer(unit, unit), unit * (side - known.T @ without_it)))
+        return np.asarray(unit * np.linalg.solve(schur * np.outer(unit, unit), unit * (side - with_fit.T @ without_it)))
 
     def energy_taken(self, joint: int, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(K,) Σ e² / σ² that each column (S', K) [N·m] on one joint would take away, and its factor (K,).
@@ -313,15 +333,15 @@ class Fit:
         Model and chosen effects adapt; all rows are fitted and none held out, so this only picks what to try.
         """
         inverse, without_it = self.solve(np.ones(self.cells, dtype=bool))
-        block = self.rests.whitened(joint, columns / self.sigma[:, joint, None])
-        rows, whitened_twice = self.rows[joint], self.rests.whitened(joint, block)  # as its transpose whitens alike
+        block = self.whitening.whitened(joint, columns / self.sigma[:, joint, None])
+        rows, whitened_twice = self.rows[joint], self.whitening.whitened(joint, block)  # as its transpose whitens alike
         cross = np.zeros((self.size, block.shape[1]))
-        cross[self.index[joint]] = rows[:, :-1].T @ whitened_twice
-        at = len(self.precision)
+        cross[self.parameter_index[joint]] = rows[:, :-1].T @ whitened_twice
+        first = len(self.precision)
         for candidate in self.chosen:
             if joint in candidate.blocks:
-                cross[at : at + len(candidate.names)] = candidate.blocks[joint].T @ whitened_twice
-            at += len(candidate.names)
+                cross[first : first + len(candidate.names)] = candidate.blocks[joint].T @ whitened_twice
+            first += len(candidate.names)
         side = (whitened_twice.T @ rows[:, -1] - cross.T @ without_it) / self.rows_per_independent
         energy = np.sum(block**2, axis=0) / self.rows_per_independent
         schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.rows_per_independent**2

@@ -18,9 +18,9 @@ def stationary_samples(signals: Sequence[MotionSignals], others: Sequence[Motion
     It is where it reverses, too: a fast reversal may pass the speed threshold between two rows. `others` are other
     motions of the same arm: the threshold depends on the joint's highest speed in all motions.
     """
-    known = [*others, *signals]
-    slowest = standstill_speed([motion.qd for motion in known], known[0].reference.robot.max_velocity)
-    slowest = np.where(travelling_joints(known), slowest, np.inf)
+    all_motions = [*others, *signals]
+    slowest = standstill_speed([motion.qd for motion in all_motions], all_motions[0].reference.robot.max_velocity)
+    slowest = np.where(travelling_joints(all_motions), slowest, np.inf)
     return [(np.abs(motion.qd) <= slowest) | _reverses(motion.qd) for motion in signals]
 
 
@@ -104,13 +104,13 @@ class StandstillWhitening:
         """Of some motions in a row, `repeat` rows of which are an independent one."""
         still = standstill_rows(signals)
         ends = np.cumsum([len(motion.time[motion.kept]) for motion in signals])
-        found_per_joint = []
+        stretches_per_joint = []
         for column in still.T:
             number = np.where(column, np.searchsorted(ends, np.arange(len(column)), side="right"), -1)
             edges = np.concatenate([[0], np.flatnonzero(np.diff(number)) + 1, [len(number)]])
             spans = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-            found_per_joint.append(tuple((a, b, (b - a) / repeat) for a, b in spans if a < b and column[a]))
-        return cls(tuple(found_per_joint))
+            stretches_per_joint.append(tuple((a, b, (b - a) / repeat) for a, b in spans if a < b and column[a]))
+        return cls(tuple(stretches_per_joint))
 
     def whitened(self, joint: int, block: np.ndarray) -> np.ndarray:
         """Whitened rows (S', k) of a joint, which are divided by the noise level."""

@@ -55,9 +55,9 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
         texts.append(OWN_PARAMETERS)
     stages = [fit.held_out() for fit in fits]
     errors = [gap.error_before, *(gap.beyond(stage) for stage in (*stages, *alone))]
-    energy = np.stack([_energy(error / gap.unit, dataset.fit.block) for error in errors])
+    energy = np.stack([_energy(error / gap.unit, dataset.fit.segment_of_row) for error in errors])
     floor = 0.0 if gap.floor is None else float(np.mean(gap.floor**2))
-    rows = _energy(np.isfinite(gap.error_before).astype(float), dataset.fit.block)
+    rows = _energy(np.isfinite(gap.error_before).astype(float), dataset.fit.segment_of_row)
     draws = resampled(energy.shape[1])
     whole = energy.sum(axis=1) / rows.sum()
     drawn = energy @ draws.T / (rows @ draws.T)  # (stages, draws)
