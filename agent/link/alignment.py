@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from agent.recording import SHORTEST_STOP
 from agent.safety import is_standstill
 
 if TYPE_CHECKING:
@@ -23,12 +24,9 @@ class Aligner:
     A motion may last for hours, so set-points are looked at as they come and only their times are kept.
     """
 
-    #: Shortest rest [s] of the set-points that counts as a stop.
-    REST = 0.006
-
     def __init__(self, chains: Sequence[Trajectory], period: float, approaches: int = 1):
         self._chains, self._approaches = chains, approaches
-        self._segments = MovingSegments(round(self.REST / period))
+        self._segments = MovingSegments(round(SHORTEST_STOP / period))
         self._stamps = array("d")  # of set-points [s]
         self._seen = True  # set-points, with every block
         self._first = self._last = 0.0  # time [s] of samples

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from agent.core import LARGEST_PROGRAM, Console, InputError, read_text, write_atomically
-from agent.link import Aligner, moving_segments
+from agent.link import moving_segments
 from agent.motion import (
     Delay,
     FlyInterpolator,
@@ -29,7 +29,7 @@ from agent.motion import (
 from agent.pipeline.checked_logs import check_one_machine, read_logs
 from agent.pipeline.planning.plan import replan
 from agent.pipeline.rebuilt_report import recipe_of
-from agent.recording import Log
+from agent.recording import SHORTEST_STOP, Log
 from agent.robot import RobotDescription, load_robot
 from agent.runs import check_output
 
@@ -187,7 +187,7 @@ def _stretches(
     assert reference is not None
     good = np.isfinite(reference).all(axis=1)
     t, q = log.t[good], reference[good]
-    moving = moving_segments(q, max(2, round(Aligner.REST * log.sample_rate)))
+    moving = moving_segments(q, max(2, round(SHORTEST_STOP * log.sample_rate)))
     interpolator = FlyInterpolator(robot, period=1.0 / log.sample_rate)
     stretches: list[tuple[Any, RecordedMove]] = []
     at, stand, last_stop = 0, q[0], None

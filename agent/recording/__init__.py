@@ -12,7 +12,7 @@ from agent.recording.datasets import (
 from agent.recording.datasets.episodes import HELD, HOLD, SMOOTH
 from agent.recording.importer import import_log
 from agent.recording.inputs import import_dataset, read_recording, recorded_joints
-from agent.recording.log import PARTS, PLANNED_PARTS, Log, machines_of
+from agent.recording.log import PARTS, PLANNED_PARTS, SHORTEST_STOP, Log, machines_of
 from agent.recording.mcap.foxglove import FILTERED, FOXGLOVE_LAYOUT, PREDICTED, RESIDUAL, foxglove_layout
 from agent.recording.mcap.log_file import write_log
 from agent.recording.mcap.relabel import LogCopy

@@ -25,6 +25,8 @@ PARTS = "parts"
 PLANNED_PARTS = "2"
 #: Attributes of `Log` that are arrays (S, n).
 ARRAYS = ("position", "velocity", "effort", "reference_position", "planned_position")
+#: Shortest standstill [s] of set-points that is a stop.
+SHORTEST_STOP = 0.006
 #: An earlier stamp [s] is a controller's time since it was switched on.
 _FIRST_DATE = 946_684_800.0
 _AROUND = 1.0  # s kept on either side of a cycle that is cut out of a log: filters drop less at its ends

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.core import symmetric_eigen
+from agent.core import NORMAL_95, symmetric_eigen
 from agent.estimation import FilterSettings, motions
 from agent.model import IdentifiedModel
 from agent.recording import Log
@@ -14,7 +14,6 @@ from agent.validation.torque import filtered_columns
 
 #: Directions of parameter space that are named, and parameters in each.
 _WEAKEST, _NAMED = 3, 4
-_NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +57,7 @@ def observability(model: IdentifiedModel, log: Log) -> Observability:
         weakest=weakest,
         never_acting=tuple(name for name, acts in zip(model.standard_names, acting, strict=True) if not acts),
         combined=int(acting.sum()) - len(model.independent),
-        within_noise=tuple(name for name, (value, sigma) in named.items() if abs(value) <= _NORMAL_95 * sigma),
+        within_noise=tuple(name for name, (value, sigma) in named.items() if abs(value) <= NORMAL_95 * sigma),
     )
 
 

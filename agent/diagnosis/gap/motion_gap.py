@@ -18,7 +18,7 @@ import numpy as np
 from agent.diagnosis.document import Cause
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
-from agent.recording import Log
+from agent.recording import SHORTEST_STOP, Log
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 _RATES = np.linspace(0.94, 1.06, 9)  # numerical: where the fit of a rate may start
 _BLENDS = 26  # numerical: times that are tried, `path_time` apart
 _ROWS = 3000  # numerical: of a log, for the fit of rate and shift
-_REST = 0.006  # numerical: s: the shortest standstill of set-points that is a stop
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +137,7 @@ def _after_stops(pair: _Pair) -> np.ndarray:
     changes, period = np.flatnonzero(moves), float(np.median(np.diff(pair.time)))
     if not len(changes):
         return np.empty(0)
-    again = changes[np.flatnonzero(np.diff(changes) > round(_REST / period)) + 1]
+    again = changes[np.flatnonzero(np.diff(changes) > round(SHORTEST_STOP / period)) + 1]
     gaps = np.flatnonzero(np.round(np.diff(pair.time) / period) > 1) + 1
     return np.asarray(pair.time[np.union1d(again, gaps)])
 

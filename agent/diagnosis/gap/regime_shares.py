@@ -16,7 +16,6 @@ from agent.model import regime_masks, standstill_speed
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
 
 _RESAMPLED = 200  # numerical: draws of a bootstrap
-_ENDS = (1 - LAW.confidence, LAW.confidence)
 _REPEATS = 3  # turns of a motor that show its phase, and parts of a log without cycles
 _PHASES = 12  # numerical: of a motor's turn
 
@@ -53,7 +52,7 @@ def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray) -> n
     draws = resampled(len(energy))
     excess = np.maximum(draws @ energy / (draws @ np.bincount(unit))[:, None] - floor**2, 0)
     share = excess / np.maximum(excess.sum(axis=1, keepdims=True), 1e-300)
-    return np.quantile(share, _ENDS, axis=0).T
+    return np.quantile(share, LAW.interval, axis=0).T
 
 
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
@@ -139,7 +138,7 @@ def _share(excess: np.ndarray, mask: np.ndarray, blocks: np.ndarray) -> tuple[fl
         return 0.0, None
     draws = resampled(len(total))
     of_draws = draws @ inside / np.maximum(draws @ total, 1e-9 * total.sum())
-    low, high = np.clip(np.quantile(of_draws, _ENDS), 0, 1)
+    low, high = np.clip(np.quantile(of_draws, LAW.interval), 0, 1)
     return float(np.clip(inside.sum() / total.sum(), 0, 1)), (float(low), float(high))
 
 

@@ -48,6 +48,11 @@ class EvidenceLaw:
     )
 
     @property
+    def interval(self) -> tuple[float, float]:
+        """Ends of a 90 % interval, as probabilities: `confidence` on each side."""
+        return 1 - self.confidence, self.confidence
+
+    @property
     def within(self) -> float:
         """Standard deviations either way that hold 90 % of normal errors: `confidence` on each side."""
         return float(ndtri(self.confidence))

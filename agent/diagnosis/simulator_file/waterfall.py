@@ -68,7 +68,7 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
     def closing(begin: int, end: int) -> tuple[float, tuple[float, float]]:
         """Part of the gap that is closed between two stages, and its interval."""
         drawn_parts = (drawn[begin] - drawn[end]) / (drawn[0] - floor)
-        low, high = np.quantile(drawn_parts, (1 - LAW.confidence, LAW.confidence))
+        low, high = np.quantile(drawn_parts, LAW.interval)
         return float((whole[begin] - whole[end]) / size), (float(low), float(high))
 
     while at < count:
