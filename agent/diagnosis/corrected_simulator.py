@@ -174,18 +174,18 @@ def _with_servos(
     reasons: Mapping[str, str],
 ) -> Correction:
     """Gains, offsets and delays moved by a `change` (p,); damping below zero comes off the servo's: both are one."""
-    servos, own = diagnosis.dataset.servos, correction.given.servos
-    if servos is None or not isinstance(own, PositionServos):
+    servos, given = diagnosis.dataset.servos, correction.given.servos
+    if servos is None or not isinstance(given, PositionServos):
         return correction
     viscous = correction.given.damping + change[servos.layout.damping]
-    damping = np.maximum(own.damping + np.minimum(viscous, 0.0), 0.0)
+    damping = np.maximum(given.damping + np.minimum(viscous, 0.0), 0.0)
     every = np.arange(len(servos.file.kp))
     moves = {kind: np.isin(every, [g.joint for g in groups if g.kind == kind]) for kind in (GAIN, OFFSET)}
     changed = replace(
-        own,
+        given,
         stiffness=np.where(moves[GAIN], servos.gains(change), servos.file.kp),
         damping=damping,
-        delay=np.maximum(own.delay + change[servos.layout.delay], 0.0),
-        offset=np.where(moves[OFFSET], servos.offsets(change), own.offset),
+        delay=np.maximum(given.delay + change[servos.layout.delay], 0.0),
+        offset=np.where(moves[OFFSET], servos.offsets(change), given.offset),
     )
     return with_servos(correction, changed, servos.simulation.arm, reasons)

@@ -73,8 +73,8 @@ class Diagnosis:
         joints = self.dataset.robot.joint_names
         places = [(c.effect.name, tuple(joints[j] for j in c.joints)) for c in self.selected.causes]
         by_cause = dict(zip(places, intervals(self.selected), strict=True))
-        own = [by_cause.get((cause.effect, cause.joints), {}) for cause in self.document.causes]
-        return {**self.document.to_dict(), "intervals": own}
+        per_cause = [by_cause.get((cause.effect, cause.joints), {}) for cause in self.document.causes]
+        return {**self.document.to_dict(), "intervals": per_cause}
 
 
 def build(
@@ -133,8 +133,8 @@ def build(
 def _with_figures(explanation: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with their part of the gap of the model as given, and whether their joints slide."""
     figures = causes_of(explanation.dataset, explanation.selected, explanation.as_given) if explanation.of_file else ()
-    of_all = {(cause.effect, cause.joints): cause for cause in figures}
-    same = [of_all.get((cause.effect, cause.joints), cause) for cause in causes]
+    by_cause = {(cause.effect, cause.joints): cause for cause in figures}
+    same = [by_cause.get((cause.effect, cause.joints), cause) for cause in causes]
     sliding = {joint.name for joint in explanation.dataset.robot.joints if joint.prismatic}
     return tuple(
         replace(

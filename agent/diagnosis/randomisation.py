@@ -45,20 +45,20 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     of_groups, of_effects = _deviations(diagnosis)
     result = list[Range]()
     for group in released.groups:
-        own, of_groups = np.split(of_groups, [group.directions.shape[1]])
+        deviations, of_groups = np.split(of_groups, [group.directions.shape[1]])
         if group.kind in (GAIN, OFFSET, DELAY, OWN_DELAY):
-            result.append(_of_servo(diagnosis, change, group, float(own[0])))
+            result.append(_of_servo(diagnosis, change, group, float(deviations[0])))
         elif group.kind == SPRING:
             for spring in springs_as_effects(diagnosis.dataset, [group], change):
-                owner, size = f"{spring.effect} of {', '.join(spring.joints)}", float(group.scale[0] * own[0])
+                owner, size = f"{spring.effect} of {', '.join(spring.joints)}", float(group.scale[0] * deviations[0])
                 unit = _unit(spring.effect, "stiffness", diagnosis.dataset.robot.joints[group.joint].prismatic)
                 result.append(_range(owner, "stiffness", spring.parameters["stiffness"], size, unit))
         else:
-            result += _of_arm(diagnosis, correction.arm, group, own)
+            result += _of_arm(diagnosis, correction.arm, group, deviations)
     for candidate, values in zip(fit.chosen, effects, strict=True):
-        own, of_effects = np.split(of_effects, [len(values)])
+        deviations, of_effects = np.split(of_effects, [len(values)])
         slides = any(diagnosis.dataset.robot.joints[j].prismatic for j in candidate.joints)
-        for name, value, deviation in zip(candidate.names, values, own, strict=True):
+        for name, value, deviation in zip(candidate.names, values, deviations, strict=True):
             unit = _unit(candidate.effect.name, name, slides)
             result.append(Range(candidate.text(names), name, float(value), *_ends(value, deviation), unit))
     return tuple(result)

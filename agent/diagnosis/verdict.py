@@ -232,10 +232,10 @@ def _closure_on_own(selected: SelectedCauses, gap: HeldOutGap, number: int, with
     """
     cause, larger = selected.causes[number], selected.causes[:number]
     taken = {joint for other in larger for joint in other.joints or (() if cause.joints else other.blocks)}
-    own = [joint for joint in cause.joints or cause.blocks if joint not in taken]
-    if own and not cause.joints:
-        own = [main_joint(selected.fit, gap, own, without)]
-    return gap.closure_on(own, without) if own else None
+    joints = [joint for joint in cause.joints or cause.blocks if joint not in taken]
+    if joints and not cause.joints:
+        joints = [main_joint(selected.fit, gap, joints, without)]
+    return gap.closure_on(joints, without) if joints else None
 
 
 def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:

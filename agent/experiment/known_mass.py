@@ -48,11 +48,11 @@ class WithMass:
 
     def text(self) -> str:
         """For people."""
-        instead = "" if self.bare is None else f" instead of {self.bare:.2f}"
+        compared = "" if self.bare is None else f" instead of {self.bare:.2f}"
         mass = payload_text(self.load)
         return (
             f"With {mass.split(',')[0]} at the flange, the right answer between {self.pair[0]} and {self.pair[1]} has "
-            f"probability {self.after:.2f}{instead}. Mount it and plan with --payload '{mass}', or with the mass and "
+            f"probability {self.after:.2f}{compared}. Mount it and plan with --payload '{mass}', or with the mass and "
             "centre that you have"
         )
 

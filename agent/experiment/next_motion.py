@@ -161,8 +161,8 @@ def plan_motion(
         mass = plan_with_mass(diagnosis, pairs, problem, seed, console, deadline=deadline.from_now())
     loads = "" if mass is None else f". {mass.text()}"
     first, second = pairs[0].first, pairs[0].second
-    what = f"distinguishes {first.text()} from {second.text()}" if second.form is not None else f"shows {first.text()}"
-    moving = f"moving the arm cannot settle this: no motion in {where} {what}{why}"
+    aim = f"distinguishes {first.text()} from {second.text()}" if second.form is not None else f"shows {first.text()}"
+    moving = f"moving the arm cannot settle this: no motion in {where} {aim}{why}"
     advice, first_off = advice_without_motion(diagnosis, pairs), zero_distinguishes(diagnosis, pairs[:1])
     return NoMotion(f"{moving}. {advice}{loads}", names, mass, first_off)
 
@@ -216,12 +216,12 @@ def _nothing_to_separate(diagnosis: Diagnosis) -> NoMotion:
 
 def _where_known(problem: LoopProblem, diagnosis: Diagnosis) -> LoopProblem:
     """Keep the joints where the external model was fitted and the logs go: elsewhere the model's error is larger."""
-    known = known_positions(diagnosis.dataset.model)
-    if known is None or not diagnosis.dataset.has_reference:
+    fitted_range = known_positions(diagnosis.dataset.model)
+    if fitted_range is None or not diagnosis.dataset.has_reference:
         return problem
     ranges = dict(problem.joint_ranges)
     q = np.concatenate([signals.q for signals in diagnosis.dataset.fit.signals])
-    for k, (joint, lower, upper) in enumerate(zip(problem.robot.joints, *known, strict=True)):
+    for k, (joint, lower, upper) in enumerate(zip(problem.robot.joints, *fitted_range, strict=True)):
         low, high = ranges.get(joint.name, (joint.lower, joint.upper))
         low, high = max(low, min(lower, q[:, k].min())), min(high, max(upper, q[:, k].max()))
         ranges[joint.name] = (float(low), float(high))

@@ -46,8 +46,8 @@ def d_optimal(dataset: Dataset, information_of: Callable[[GridMotion], np.ndarra
     """
     fit = dataset.fit
     model = len(fit.precision)
-    known = fit.gram.sum(axis=0)[:model, :model] / fit.rows_per_independent + fit.precision
-    scale = 1 / np.sqrt(np.diag(known))
+    current = fit.gram.sum(axis=0)[:model, :model] / fit.rows_per_independent + fit.precision
+    scale = 1 / np.sqrt(np.diag(current))
     added: dict[Piece, np.ndarray] = {}
 
     def information(piece: Piece) -> np.ndarray:
@@ -56,7 +56,7 @@ def d_optimal(dataset: Dataset, information_of: Callable[[GridMotion], np.ndarra
         return added[piece]
 
     def pick(chosen: Sequence[Piece], options: Sequence[Piece]) -> Piece:
-        now = known + sum((information(piece) for piece in chosen), np.zeros_like(known))
+        now = current + sum((information(piece) for piece in chosen), np.zeros_like(current))
         return max(
             options,
             key=lambda piece: float(np.linalg.slogdet((now + information(piece)) * np.outer(scale, scale))[1]),

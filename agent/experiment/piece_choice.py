@@ -138,8 +138,8 @@ def _varied(
 
 
 def _mean(chances: np.ndarray) -> float:
-    known = chances[np.isfinite(chances)]
-    return float(known.mean()) if len(known) else 0.0
+    finite = chances[np.isfinite(chances)]
+    return float(finite.mean()) if len(finite) else 0.0
 
 
 def _known(chances: np.ndarray) -> tuple[float | None, float | None]:

@@ -147,16 +147,16 @@ class ExperimentScorer:
         free = [np.arange(model), *(self._columns_of_form[form] for form in pair.shared)]
         if rival.form is not None and not reached.lacking(rival.form.effect, rival.form.joints):
             free.append(self._columns_of_form[rival.form])
-        at, columns = np.concatenate(free), self._columns_of_form[true.form]
+        indices, columns = np.concatenate(free), self._columns_of_form[true.form]
         values = true.values if len(true.values) else self._practical(true.form)
-        side = whole[np.ix_(at, columns)] @ values
-        matrix = whole[np.ix_(at, at)] + self._prior[np.ix_(at, at)]
+        side = whole[np.ix_(indices, columns)] @ values
+        matrix = whole[np.ix_(indices, indices)] + self._prior[np.ix_(indices, indices)]
         unit = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-        lower = np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-9 * np.eye(len(at)))
+        lower = np.linalg.cholesky(matrix * np.outer(unit, unit) + 1e-9 * np.eye(len(indices)))
         follows = float(np.sum(solve_triangular(lower, unit * side, lower=True) ** 2))
-        own = float(values @ whole[np.ix_(columns, columns)] @ values)
-        lost = 0.0 if rival.form is None else self._evidence.law.form_error**2 * own
-        return 0.5 * max(own - follows - lost, 0.0)
+        energy = float(values @ whole[np.ix_(columns, columns)] @ values)
+        lost = 0.0 if rival.form is None else self._evidence.law.form_error**2 * energy
+        return 0.5 * max(energy - follows - lost, 0.0)
 
     def _practical(self, form: Candidate) -> np.ndarray:
         """(k,) parameters at which an effect has its practical size, each of them as large."""

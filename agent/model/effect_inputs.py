@@ -227,19 +227,21 @@ class MotionSignals:
     @cached_property
     def slow_slope(self) -> np.ndarray:
         """(S, n, n) `link_slope` next to servos' stiffness, computed on every tenth sample and straight in between."""
-        return self._from_some(lambda at: self.reference.links.torque_slope(self.q[at], self.qd[at], self.qdd[at]))
+        return self._from_some(
+            lambda rows: self.reference.links.torque_slope(self.q[rows], self.qd[rows], self.qdd[rows])
+        )
 
     @cached_property
     def mass(self) -> np.ndarray:
         """(S, n, n) mass matrix of the links, computed on every tenth sample and straight in between."""
-        return self._from_some(lambda at: np.array([self.reference.solid.mass_matrix(q) for q in self.q[at]]))
+        return self._from_some(lambda rows: np.array([self.reference.solid.mass_matrix(q) for q in self.q[rows]]))
 
     def _from_some(self, matrices_at: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """(S, n, n) from those of every tenth sample."""
-        at = np.append(np.arange(0, len(self.q) - 1, _MASS_STEP), len(self.q) - 1)
-        matrices, sample = matrices_at(at), np.arange(len(self.q))
-        first = np.minimum(sample // _MASS_STEP, len(at) - 2)
-        share = ((sample - at[first]) / (at[first + 1] - at[first]))[:, None, None]
+        rows = np.append(np.arange(0, len(self.q) - 1, _MASS_STEP), len(self.q) - 1)
+        matrices, sample = matrices_at(rows), np.arange(len(self.q))
+        first = np.minimum(sample // _MASS_STEP, len(rows) - 2)
+        share = ((sample - rows[first]) / (rows[first + 1] - rows[first]))[:, None, None]
         return (1 - share) * matrices[first] + share * matrices[first + 1]
 
     def regressor(self) -> np.ndarray:
@@ -256,10 +258,10 @@ class MotionSignals:
 
         `place` (3,) [m] is the point relative to the link's far end, in the link's frame.
         """
-        screws, ends, known = self._screws
-        if np.any(new := rows & ~known):
+        screws, ends, computed = self._screws
+        if np.any(new := rows & ~computed):
             screws[new], ends[new] = self.reference.links.joint_screws(self.q[new])
-            known |= new
+            computed |= new
         screws, point = screws[rows], ends[rows, link]
         if np.any(place):
             point = point + self._turned(link, rows) @ np.asarray(place)

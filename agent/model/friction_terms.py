@@ -147,10 +147,10 @@ def axle_columns(terms: tuple[FrictionTerm, ...], motion: AxleMotion) -> np.ndar
         motion.directions(axle, list(dict.fromkeys(t.reversal for t in terms if t.axle == axle and t.reversal)))
     columns = np.empty((len(terms), len(motion.speed))).T
     for k, term in enumerate(terms):
-        own = term.axle
-        direction = None if term.reversal is None else motion.direction(own, term.reversal)
-        load = None if motion.load is None else motion.load[:, own]
-        columns[:, k] = _column(term, motion.speed[:, own], motion.magnitude[:, own], direction, load)
+        axle = term.axle
+        direction = None if term.reversal is None else motion.direction(axle, term.reversal)
+        load = None if motion.load is None else motion.load[:, axle]
+        columns[:, k] = _column(term, motion.speed[:, axle], motion.magnitude[:, axle], direction, load)
     return columns
 
 
@@ -207,8 +207,8 @@ def dahl(position: np.ndarray, travels: np.ndarray) -> np.ndarray:
     starts = np.flatnonzero(np.diff(side, prepend=np.nan))
     before, lengths = gone[starts] - np.abs(step[starts]), np.diff(starts, append=len(step))
     begins = np.empty((len(travels), len(starts)))
-    for own, decays in zip(begins, np.exp(-np.diff(before, append=gone[-1]) / travels[:, None]), strict=True):
+    for begin, decays in zip(begins, np.exp(-np.diff(before, append=gone[-1]) / travels[:, None]), strict=True):
         stretches = zip(side[starts].tolist(), decays.tolist(), strict=True)
-        own[:] = list(itertools.accumulate(stretches, lambda s, on: on[0] - (on[0] - s) * on[1], initial=0.0))[:-1]
+        begin[:] = list(itertools.accumulate(stretches, lambda s, on: on[0] - (on[0] - s) * on[1], initial=0.0))[:-1]
     decay = np.exp(-(gone - np.repeat(before, lengths))[:, None] / travels)
     return side[:, None] - (side[:, None] - np.repeat(begins, lengths, axis=1).T) * decay

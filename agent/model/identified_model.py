@@ -68,8 +68,8 @@ class IdentifiedModel(RigidFrictionModel):
         """(n,) highest speed [rad/s or m/s] of each joint in the fit's logs; its limit if it stood still, or if the
         file does not say."""
         limit = self.robot.max_velocity
-        known = self.provenance["range"]["fastest"] if "range" in self.provenance else limit
-        return np.where(self._resting, limit, np.minimum(known, limit))
+        measured = self.provenance["range"]["fastest"] if "range" in self.provenance else limit
+        return np.where(self._resting, limit, np.minimum(measured, limit))
 
     def predict(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, time: np.ndarray | None = None) -> np.ndarray:
         """(S, n) joint torque [N·m] of consecutive samples (S, n) at `time` (S,) [s], which only effects may need.
@@ -189,7 +189,7 @@ class IdentifiedModel(RigidFrictionModel):
     def to_dict(self) -> dict[str, Any]:
         """JSON content of the model file."""
         deviations, b = self.standard_deviations, len(self.independent)
-        known = [None if still else float(value) for value, still in zip(self.values, self.unmoved, strict=True)]
+        values = [None if still else float(value) for value, still in zip(self.values, self.unmoved, strict=True)]
         return {
             "schema": SCHEMA,
             "robot": self.robot.to_dict(),
@@ -200,8 +200,8 @@ class IdentifiedModel(RigidFrictionModel):
                     "name": self.names[k],
                     "combination": self.combinations[k],
                     "unit": _standard_unit(self.names[k]),
-                    "value": known[k],
-                    "standard_deviation": None if known[k] is None else float(deviations[k]),
+                    "value": values[k],
+                    "standard_deviation": None if values[k] is None else float(deviations[k]),
                 }
                 for k in range(b)
             ],
@@ -213,8 +213,8 @@ class IdentifiedModel(RigidFrictionModel):
                     "reversal": None if term.reversal is None else asdict(term.reversal),
                     "fading": term.fading,
                     "unit": self._term_unit(term),
-                    "value": known[b + k],
-                    "standard_deviation": None if known[b + k] is None else float(deviations[b + k]),
+                    "value": values[b + k],
+                    "standard_deviation": None if values[b + k] is None else float(deviations[b + k]),
                 }
                 for k, term in enumerate(self.terms)
             ],
@@ -271,8 +271,8 @@ class IdentifiedModel(RigidFrictionModel):
         except InputError as error:
             raise InputError(f"{path}: this model file is damaged: {error}") from None
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-            what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-            raise InputError(f"{path}: this model file is incomplete or damaged: {what}") from None
+            problem = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+            raise InputError(f"{path}: this model file is incomplete or damaged: {problem}") from None
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> IdentifiedModel:
@@ -355,8 +355,8 @@ def _robot(data: dict[str, Any]) -> RobotDescription:
     try:
         return RobotDescription.from_dict(data)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"robot: {what}") from None
+        problem = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"robot: {problem}") from None
 
 
 def _axle(robot: RobotDescription, joint: str) -> int:

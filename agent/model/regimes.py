@@ -50,8 +50,8 @@ def regime_masks(
     standing = magnitude <= slowest
     around_reversal = np.zeros(len(speed), dtype=bool)
     reach = int(_NEAR_REVERSAL * rate)
-    for at in np.flatnonzero(np.diff(np.sign(speed)) != 0):
-        around_reversal[max(0, at - reach) : at + reach + 1] = True
+    for reversal in np.flatnonzero(np.diff(np.sign(speed)) != 0):
+        around_reversal[max(0, reversal - reach) : reversal + reach + 1] = True
     low, high = float(q.min()), float(q.max())
     third = (high - low) / 3
     regions = (

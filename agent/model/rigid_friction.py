@@ -116,8 +116,8 @@ class RigidFrictionModel:
         """The regressor of the base parameters."""
         from agent.robot import Dynamics
 
-        own = self.independent, self.projection, self.standard_names, self.combinations
-        return RigidBodies(Dynamics(self.robot), *own)
+        basis = self.independent, self.projection, self.standard_names, self.combinations
+        return RigidBodies(Dynamics(self.robot), *basis)
 
     @property
     def friction_share(self) -> np.ndarray:

@@ -153,8 +153,8 @@ def body_parameters(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.
         centre: (3,) of mass [m].
         inertia: (3, 3) about the centre [kg·m²].
     """
-    about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return np.array([mass, *(mass * centre), *(about[i, j] for i, j in _INERTIA_ORDER)])
+    about_origin = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.array([mass, *(mass * centre), *(about_origin[i, j] for i, j in _INERTIA_ORDER)])
 
 
 def seen_from(block: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -26,15 +26,15 @@ def expected_range(squares: np.ndarray, group: np.ndarray, most: float) -> tuple
     parts = [group == number for number in np.unique(group)]
     count = np.array([there[part].sum(axis=0) for part in parts])
     total = np.array([np.nansum(squares[part], axis=0) for part in parts])
-    known = count > 0
-    motions = known.sum(axis=0)
-    logs = np.where(known, np.log(np.maximum(total, 1e-300) / np.maximum(count, 1)), 0.0)
+    has_windows = count > 0
+    motions = has_windows.sum(axis=0)
+    logs = np.where(has_windows, np.log(np.maximum(total, 1e-300) / np.maximum(count, 1)), 0.0)
     centre = logs.sum(axis=0) / motions
-    spread = np.sum(np.where(known, (logs - centre) ** 2, 0.0), axis=0)
+    spread = np.sum(np.where(has_windows, (logs - centre) ** 2, 0.0), axis=0)
     several = motions > 1
     if not several.any():
         return np.zeros_like(middle), np.full_like(middle, most)
-    own = spread / np.maximum(motions - 1, 1)
+    variance = spread / np.maximum(motions - 1, 1)
     usual = spread[several].sum() / (motions[several] - 1).sum()
-    factor = np.exp(0.5 * LAW.within * np.sqrt(np.maximum(own, usual) * (1 + 1 / motions)))
+    factor = np.exp(0.5 * LAW.within * np.sqrt(np.maximum(variance, usual) * (1 + 1 / motions)))
     return middle / factor, np.clip(middle * factor, middle, np.maximum(most, middle))

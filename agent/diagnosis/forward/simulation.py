@@ -188,7 +188,7 @@ class _Arm:
         motion = self._motion
         speed = np.gradient(self.set_points, 1 / motion.rate, axis=0)
         energy = np.maximum(np.sum(speed**2, axis=0), 1e-12)
-        late = np.maximum(np.sum((self.set_points - motion.q) * speed, axis=0) / energy - 1 / motion.rate, 0.0)
-        usual = ServoGains.tuned(self._inertia, np.full(len(late), np.inf))
-        gain = np.minimum(usual.position, 1 / np.maximum(late, 1e-9))
-        return replace(usual, position=gain, feedforward=1 - gain * late)
+        lag = np.maximum(np.sum((self.set_points - motion.q) * speed, axis=0) / energy - 1 / motion.rate, 0.0)
+        usual = ServoGains.tuned(self._inertia, np.full(len(lag), np.inf))
+        gain = np.minimum(usual.position, 1 / np.maximum(lag, 1e-9))
+        return replace(usual, position=gain, feedforward=1 - gain * lag)

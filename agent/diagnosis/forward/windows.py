@@ -146,8 +146,8 @@ def _drift(which: RolloutEngine, window: ForwardWindow, times: np.ndarray, drive
     """(2, T, n) error of position [rad] and velocity [rad/s] at the times of a window."""
     motion, first = window.motion, window.first
     q, qd = which.run(motion.q[first], motion.qd[first], drive, times)
-    at = first + np.round(times * motion.rate).astype(int)
-    error = np.stack([q - motion.q[at], qd - motion.qd[at]])
+    samples = first + np.round(times * motion.rate).astype(int)
+    error = np.stack([q - motion.q[samples], qd - motion.qd[samples]])
     return np.asarray(np.clip(np.where(np.isfinite(error), error, _RUNS_AWAY), -_RUNS_AWAY, _RUNS_AWAY))
 
 

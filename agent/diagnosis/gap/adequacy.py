@@ -42,8 +42,8 @@ def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
     uncertainty of the fitted parameters makes of the motion that is held out. 1 is the limit.
     """
     before, after = _while_moving(fit, gap)
-    own = (LARGEST_ERROR * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, _moving(fit, gap))
-    return np.asarray(after / np.sqrt(own + LIMITS.negligible * before**2))
+    limit = (LARGEST_ERROR * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, _moving(fit, gap))
+    return np.asarray(after / np.sqrt(limit + LIMITS.negligible * before**2))
 
 
 def exceeds(fit: Fit, gap: HeldOutGap, times: float = LIMITS.usual_error) -> bool:
@@ -87,12 +87,12 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
         return variances
     ends = len(fit.precision) + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
     for joint in {joint for candidate in fit.chosen for joint in candidate.blocks}:
-        parts, at = [fit.rows[joint][:, :-1]], [fit.parameter_index[joint]]
+        parts, indices = [fit.rows[joint][:, :-1]], [fit.parameter_index[joint]]
         for candidate, a, b in zip(fit.chosen, ends[:-1], ends[1:], strict=True):
             if joint in candidate.blocks:
                 parts.append(candidate.blocks[joint])
-                at.append(np.arange(a, b))
-        columns, places = np.hstack(parts), np.concatenate(at)
+                indices.append(np.arange(a, b))
+        columns, places = np.hstack(parts), np.concatenate(indices)
         variance = np.zeros(len(columns))
         for fold in fit.test_folds:
             inverse = fit.solve(fold.train)[0][np.ix_(places, places)]
@@ -115,12 +115,12 @@ def shortfalls(
     if not causes or gap.closure is None:
         return [""] * len(causes)
     taken_out = [fit.held_out(without=number) for number in range(len(causes))]
-    own, sizes = closed_alone(fit, gap, len(causes)), remainder_sizes(fit, gap)
+    closed, sizes = closed_alone(fit, gap, len(causes)), remainder_sizes(fit, gap)
     reasons = []
     for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
         joint = main_joint(fit, gap, candidate.joints or candidate.blocks, rows)
         trades = fit.keeps_parameters and len(causes) > 1
-        if trades and (gap.closure_without(rows) or 0.0) > own / LIMITS.explained:  # than all of them together
+        if trades and (gap.closure_without(rows) or 0.0) > closed / LIMITS.explained:  # than all of them together
             reasons.append("it and another cause cancel each other")
         elif sizes[joint] > 1 and not irreplaceable(number):
             name = fit.reference.robot.joint_names[joint]
@@ -153,8 +153,8 @@ def explained_part(fit: Fit, gap: HeldOutGap, count: int) -> float | None:
 
 def main_joint(fit: Fit, gap: HeldOutGap, joints: Iterable[int], taken_out: np.ndarray) -> int:
     """The one of some joints on which a cause explains most; `taken_out` (S', n) [N·m] is the error without it."""
-    change, at = rms(gap.beyond(taken_out)) ** 2 - rms(gap.error_after) ** 2, list(joints)
-    return at[int(np.argmax(change[at] / fit.sigma.min(axis=0)[at] ** 2))]
+    change, indices = rms(gap.beyond(taken_out)) ** 2 - rms(gap.error_after) ** 2, list(joints)
+    return indices[int(np.argmax(change[indices] / fit.sigma.min(axis=0)[indices] ** 2))]
 
 
 def remainders(dataset: Dataset, gap: HeldOutGap) -> Iterator[Remainder]:

@@ -76,18 +76,18 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     """
     assert log.effort is not None
     nominal, mean, swing = robot.nominal_torque, log.effort.mean(axis=0), log.effort.std(axis=0)
-    again = "switch the drives off, let the brakes hold the arm, and record again"
+    advice = "switch the drives off, let the brakes hold the arm, and record again"
     for joint, entry in enumerate(robot.joints):
         unit = entry.torque_unit
         if swing[joint] > LIMITS.negligible * nominal[joint]:
             raise InputError(
                 f"{log.name}: the torque of {entry.name} varies by {swing[joint]:.3g} {unit} (standard deviation) "
-                f"while the arm stands, which no motor without current does: {again}"
+                f"while the arm stands, which no motor without current does: {advice}"
             )
         if abs(mean[joint]) > nominal[joint]:
             raise InputError(
                 f"{log.name}: the torque of {entry.name} is {mean[joint]:.4g} {unit}, and its nominal torque "
-                f"{nominal[joint]:.4g}: that is no zero of a channel; {again}, or mend the units in its import"
+                f"{nominal[joint]:.4g}: that is no zero of a channel; {advice}, or mend the units in its import"
             )
     if model is None:
         return
@@ -101,7 +101,7 @@ def _check_off(robot: RobotDescription, log: Log, model: IdentifiedModel | None)
     if loaded.any() and remaining < (1 - LIMITS.explained) * np.linalg.norm(static_torque[loaded]):
         names = ", ".join(np.array(robot.joint_names)[loaded])
         raise InputError(
-            f"{log.name}: the torque of {names} is what it takes to hold the arm there, so its drives are on: {again}"
+            f"{log.name}: the torque of {names} is what it takes to hold the arm there, so its drives are on: {advice}"
         )
 
 
@@ -112,7 +112,7 @@ def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evid
     model had before; without one the channel shows nothing, or that.
     """
     before = _known_offsets(model)
-    known = np.flatnonzero(np.isfinite(zero.torque))
+    recorded = np.flatnonzero(np.isfinite(zero.torque))
 
     def log_likelihood(evidence: Evidence, hypothesis: EvaluatedHypothesis) -> float:
         offset = np.zeros(evidence.dof)
@@ -120,8 +120,8 @@ def zero_likelihood(zero: ChannelZero, model: IdentifiedModel) -> Callable[[Evid
             candidate = evidence.pool.candidate(k)
             if candidate.effect.adds_to_report is not None:
                 offset[candidate.joints[0]] += values[candidate.names.index(candidate.effect.adds_to_report)]
-        miss = np.minimum(np.abs(zero.torque - offset), np.abs(zero.torque - offset - before))[known]
-        slack = np.hypot(zero.error, Effect.practical * evidence.noise.nominal)[known]
+        miss = np.minimum(np.abs(zero.torque - offset), np.abs(zero.torque - offset - before))[recorded]
+        slack = np.hypot(zero.error, Effect.practical * evidence.noise.nominal)[recorded]
         return float(-0.5 * np.sum(np.minimum(miss / slack, _OUTLIER) ** 2))
 
     return log_likelihood

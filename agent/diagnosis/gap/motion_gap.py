@@ -61,8 +61,8 @@ class MotionGap:
     @property
     def practical(self) -> bool:
         """Whether rate, shift or blend are of a size that matters: every interpolator has a small error."""
-        late = max(abs(self.shift), self.blend)
-        return abs(self.rate - 1.0) > LIMITS.path_rate or late > LIMITS.path_time
+        latest = max(abs(self.shift), self.blend)
+        return abs(self.rate - 1.0) > LIMITS.path_rate or latest > LIMITS.path_time
 
     @property
     def closure(self) -> float | None:
@@ -122,12 +122,12 @@ def _described(logs: Sequence[Log], pairs: Sequence[_Pair], before: np.ndarray) 
     fitted = [_fit(pair) for pair in pairs]
     errors = []
     for number, pair in enumerate(pairs):
-        others = [of_pair for k, of_pair in enumerate(fitted) if k != number] or fitted
+        others = [parameters for k, parameters in enumerate(fitted) if k != number] or fitted
         rate, shift, blend = (float(np.median([other[k] for other in others])) for k in range(3))
         errors.append(pair.executed - _executed(pair, rate, shift if len(pair.starts) else fitted[number][1], blend))
         if _rms(errors[-1:]).max() > max(_rms([pair.executed - pair.planned]).max(), LIMITS.path_gap):
             return None
-    rate, shift, blend = (float(np.median([of_pair[k] for of_pair in fitted])) for k in range(3))
+    rate, shift, blend = (float(np.median([parameters[k] for parameters in fitted])) for k in range(3))
     return MotionGap(before, _rms(errors), _floor(logs, errors), rate, shift, blend)
 
 
@@ -137,9 +137,9 @@ def _after_stops(pair: _Pair) -> np.ndarray:
     changes, period = np.flatnonzero(moves), float(np.median(np.diff(pair.time)))
     if not len(changes):
         return np.empty(0)
-    again = changes[np.flatnonzero(np.diff(changes) > round(SHORTEST_STOP / period)) + 1]
+    resumed = changes[np.flatnonzero(np.diff(changes) > round(SHORTEST_STOP / period)) + 1]
     gaps = np.flatnonzero(np.round(np.diff(pair.time) / period) > 1) + 1
-    return np.asarray(pair.time[np.union1d(again, gaps)])
+    return np.asarray(pair.time[np.union1d(resumed, gaps)])
 
 
 def _rms(parts: Sequence[np.ndarray]) -> np.ndarray:
@@ -154,8 +154,8 @@ def _executed(pair: _Pair, rate: float, shift: float, blend: float) -> np.ndarra
     parts = []
     for time, planned, curve in pair.stretches:
         if curve is not None:
-            at = np.clip(time[0] + rate * (time - time[0]) - shift, time[0], time[-1])
-            planned = curve(at)
+            plan_time = np.clip(time[0] + rate * (time - time[0]) - shift, time[0], time[-1])
+            planned = curve(plan_time)
             planned = uniform_filter1d(planned, width, axis=0, mode="nearest") if width > 1 else planned
         parts.append(planned)
     return np.concatenate(parts)

@@ -118,12 +118,12 @@ def _in_time(dataset: Dataset) -> Iterator[tuple[str, np.ndarray]]:
             continue
         last = dataset.time[here].max()
         starts = [start for start in log.cycle_starts if start < last]
-        what = "cycle"
+        part = "cycle"
         if len(starts) < 2:
             first = dataset.time[here].min()
-            starts, what = np.linspace(first, last, _REPEATS, endpoint=False).tolist(), "third"
+            starts, part = np.linspace(first, last, _REPEATS, endpoint=False).tolist(), "third"
         for k, (start, end) in enumerate(zip(starts, [*starts[1:], np.inf], strict=True)):
-            yield f"{what} {k + 1} of {log.name}", here & (dataset.time >= start) & (dataset.time < end)
+            yield f"{part} {k + 1} of {log.name}", here & (dataset.time >= start) & (dataset.time < end)
 
 
 def _block_numbers(dataset: Dataset) -> np.ndarray:

@@ -38,12 +38,12 @@ class StuckTorque:
     @property
     def text(self) -> str:
         """Warning text."""
-        at, how = "", "holds its value"
+        value, how = "", "holds its value"
         if self.limit is not None:
-            at, how = f" at {self.limit:.4g} N·m", "cuts it off there"
+            value, how = f" at {self.limit:.4g} N·m", "cuts it off there"
         times = f"{self.times} times" if self.times > 1 else "once"
         return (
-            f"the torque of {self.joint} stands still{at} {times}, for up to {self.longest:.2g} s, where it should "
+            f"the torque of {self.joint} stands still{value} {times}, for up to {self.longest:.2g} s, where it should "
             f"change: its sensor or recorder {how}; {100 * min(self.share, 1.0):.0f} % of the gap is there, so no "
             "cause is named"
         )

@@ -66,9 +66,9 @@ class HeldOutGap:
 
     def closure_on(self, joints: Sequence[int], residual: np.ndarray) -> float | None:
         """Part that is closed of the error of joints, compared with a residual (S', n) [N·m]."""
-        at, floor = list(joints), None if self.floor is None else self.floor[list(joints)]
-        without = (rms(self.beyond(residual)) / self.unit)[at]
-        return closure(without, without, self.after[at], floor)
+        indices, floor = list(joints), None if self.floor is None else self.floor[list(joints)]
+        without = (rms(self.beyond(residual)) / self.unit)[indices]
+        return closure(without, without, self.after[indices], floor)
 
     def beyond(self, rows: np.ndarray) -> np.ndarray:
         """Part of an error (S', n) [N·m] that stiction does not allow."""
@@ -126,11 +126,11 @@ def _floor(
         if len(time) < LIMITS.min_samples:
             continue
         for a, b in pairwise(starts):
-            at = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
-            if len(at) < LIMITS.min_samples:
+            common = np.arange(max(time[0], a), min(b, time[-1] - (b - a)), 1 / dataset.rate)
+            if len(common) < LIMITS.min_samples:
                 continue
-            first = np.stack([np.interp(at, time, column) for column in rows.T], axis=1)
-            second = np.stack([np.interp(at + b - a, time, column) for column in rows.T], axis=1)
+            first = np.stack([np.interp(common, time, column) for column in rows.T], axis=1)
+            second = np.stack([np.interp(common + b - a, time, column) for column in rows.T], axis=1)
             parts.append(second - first)
     if not parts:
         return None

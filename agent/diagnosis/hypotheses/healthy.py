@@ -217,14 +217,14 @@ def _of_the_arm(name: str, sizes: Mapping[EffectKey, float], detection_limit: Ca
 
 
 def _entry(
-    candidate: Candidate, number: int, shown: Sequence[LogEvidence], size: float, names: Sequence[str], known: bool
+    candidate: Candidate, number: int, shown: Sequence[LogEvidence], size: float, names: Sequence[str], with_value: bool
 ) -> HealthyEffect:
-    """An effect of a size over nominal, which its parameters share alike; with what all logs show if it is `known`."""
+    """An effect of a size over nominal, shared alike by its parameters; `with_value`: with what all logs show."""
     rms = np.sqrt(np.mean([of_log.rms[number] ** 2 for of_log in shown], axis=0))
     some = rms > _INVISIBLE
     amount = np.where(some, size / np.sqrt(max(int(some.sum()), 1)) / np.maximum(rms, _INVISIBLE), 0.0)
     value: dict[str, tuple[float, float]] = {}
-    if known and len(shown) > 1:
+    if with_value and len(shown) > 1:
         each = np.array([of_log.values[number] for of_log in shown])
         deviation = np.sqrt(1 + 1 / len(shown)) * each.std(axis=0, ddof=1)
         value = dict(

@@ -104,8 +104,8 @@ class NoiseModel:
             amounts = [self.thinned(h.candidate, j) * h.amount for h in healthy if j in h.candidate.blocks]
             self.torque_share.append(_torque_share(amounts))
             amounts = [self.torque_share[j] * columns for columns in amounts]
-            known = np.hstack([*amounts, model_rows[:, :-1] @ spread[fit.parameter_index[j]]])
-            of_log = self._turned(self._noticed(known))
+            log_columns = np.hstack([*amounts, model_rows[:, :-1] @ spread[fit.parameter_index[j]]])
+            of_log = self._turned(self._noticed(log_columns))
             columns = np.hstack([model_rows[:, :-1], shared, of_log, model_rows[:, -1:]])
             self._widths.append((model_rows.shape[1] - 1, shared.shape[1], of_log.shape[1]))
             self.columns.append(columns.astype(np.float32))

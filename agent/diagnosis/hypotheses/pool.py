@@ -128,18 +128,19 @@ class CandidatePool:
         of_noise = slice(model_columns, model_columns + noise_columns)
         ends = model_columns + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
         size = int(ends[-1]) + 1
-        own, cross, index = np.zeros((size, size)), np.zeros((noise_columns, size)), np.r_[0:model_columns, size - 1]
-        own[np.ix_(index, index)], cross[:, index] = without[np.ix_(keep, keep)], without[of_noise][:, keep]
+        square, cross = np.zeros((size, size)), np.zeros((noise_columns, size))
+        index = np.r_[0:model_columns, size - 1]
+        square[np.ix_(index, index)], cross[:, index] = without[np.ix_(keep, keep)], without[of_noise][:, keep]
         for position, k in enumerate(effects):
             block, number = self._where[k]
             span, moments = slice(ends[position], ends[position + 1]), self.blocks[block].moments[joint]
             moments = moments[:, self.blocks[block].column_slice(number, joint)]
-            own[index, span], own[span, index], cross[:, span] = moments[keep], moments[keep].T, moments[of_noise]
-            own[span, span] = self._own(k, joint)
+            square[index, span], square[span, index], cross[:, span] = moments[keep], moments[keep].T, moments[of_noise]
+            square[span, span] = self._own(k, joint)
             for earlier, other in enumerate(effects[:position]):
                 earlier_span, product = slice(ends[earlier], ends[earlier + 1]), self._product(other, k, joint)
-                own[earlier_span, span], own[span, earlier_span] = product, product.T
-        return own, cross, without[of_noise, of_noise]
+                square[earlier_span, span], square[span, earlier_span] = product, product.T
+        return square, cross, without[of_noise, of_noise]
 
     def torque(self, number: int, values: np.ndarray) -> dict[int, float]:
         """Per joint the torque of an effect over nominal, root mean square."""

@@ -272,11 +272,13 @@ class Score:
     def _joint(
         self, j: int, scale: float, variance: float, effects: tuple[int, ...], index: np.ndarray
     ) -> JointMoments:
-        own, cross, noise = self._moments(j, effects)
+        square, cross, noise = self._moments(j, effects)
         root = NoiseRoot.of(noise, self.noise.shared_count(j), scale, variance)
         half = root.solved(cross) / scale
         log_det = self.noise.count * np.log(scale) + root.log_det + self.noise.shared_count(j) * np.log(variance)
-        return JointMoments(own / scale - half.T @ half, float(log_det), root, half, own, cross, noise, index, effects)
+        return JointMoments(
+            square / scale - half.T @ half, float(log_det), root, half, square, cross, noise, index, effects
+        )
 
     def _joint_system(
         self,

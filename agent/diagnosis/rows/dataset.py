@@ -223,11 +223,11 @@ def plain_model(robot: RobotDescription, logs: Sequence[Log], cutoff: float | No
     if (in_time := with_torque_in_time(robot, logs, cutoff)) is not None:
         model = min(estimate(robot, in_time, settings), model, key=lambda m: float(np.log(m.held_out_rmse).sum()))
     count = len(model.independent)
-    alike = [k for k, term in enumerate(model.terms) if term.form not in ("offset", "viscous_asymmetry")]
-    kept = np.array([*range(count), *(count + k for k in alike)])
+    symmetric = [k for k, term in enumerate(model.terms) if term.form not in ("offset", "viscous_asymmetry")]
+    kept = np.array([*range(count), *(count + k for k in symmetric)])
     return replace(
         model,
-        terms=tuple(model.terms[k] for k in alike),
+        terms=tuple(model.terms[k] for k in symmetric),
         values=model.values[kept],
         covariance=model.covariance[np.ix_(kept, kept)],
         prior=None if model.prior is None else model.prior.part(kept),

@@ -93,8 +93,8 @@ class Contact(Effect):
             rise, fall = (settings.get(f"{edge}_{number}", _EDGE) for edge in ("rise", "fall"))
             window = _window(signals.time - start, lasting, rise, fall)
             inside = window > 0
-            at = [settings.get(f"{axis}_{number}", 0.0) for axis in "xyz"]
-            pushed = np.swapaxes(signals.pushed(int(link) - 1, inside, at), 1, 2)
+            place = [settings.get(f"{axis}_{number}", 0.0) for axis in "xyz"]
+            pushed = np.swapaxes(signals.pushed(int(link) - 1, inside, place), 1, 2)
             block[inside, :, 3 * index : 3 * index + 3] = -pushed * window[inside, None, None]
         return {joint: block[:, joint] for joint in range(n)}
 
@@ -267,8 +267,8 @@ class Windows:
                 )
             whole = self._without_pause[some] == 1
             if whole.any():
-                at = int(some[np.argmax(whole)])
-                return PushedWindow(float(self.gain[at]), self.link, self.log, float(self.starts[at]), self.duration)
+                k = int(some[np.argmax(whole)])
+                return PushedWindow(float(self.gain[k]), self.link, self.log, float(self.starts[k]), self.duration)
         return None
 
     @cached_property
@@ -294,8 +294,8 @@ class Windows:
             return push
         starts, ends = starts[free], ends[free]
         gain, _ = self.sums.forces(starts, ends)
-        at = int(np.argmax(gain))
-        return PushedWindow(float(gain[at]), self.link, self.log, float(starts[at]), float(ends[at] - starts[at]))
+        k = int(np.argmax(gain))
+        return PushedWindow(float(gain[k]), self.link, self.log, float(starts[k]), float(ends[k] - starts[k]))
 
     def bare(self, push: PushedWindow) -> bool:
         """Whether a push starts with the samples, so that there is no quiet time before it to compare with."""
@@ -306,13 +306,13 @@ class Windows:
         around = (np.abs(self.starts - push.start) <= 2 * push.duration) & free  # as long before and after as it lasts
         return float(self.gain[around].max(initial=0.0))
 
-    def beside_edges(self, push: PushedWindow) -> float:
+    def gain_next_to(self, push: PushedWindow) -> float:
         """Largest gain a second of the windows that end just before a push or begin just after it."""
         before, after = push.start - self.duration - self.starts, self.starts - push.start - push.duration
         close = [(gap >= _STARTS) & (gap <= _BORDER) for gap in (before, after)]
         return float(self.gain[close[0] | close[1]].max(initial=0.0)) / self.duration
 
-    def again(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> float:
+    def gain_at_phase(self, push: PushedWindow, taken: Sequence[PushedWindow]) -> float:
         """Largest gain at the same phase of another cycle, within one step; 0 without cycles.
 
         Another push that overlaps this phase but shares neither end is no repetition.
@@ -322,10 +322,11 @@ class Windows:
         if len(edges) < 2 or cycle < 0:
             return 0.0
         others = [other for other in taken if other.log == self.log and other is not push]
-        late = np.delete(edges, cycle) - edges[cycle]
-        places = [push.start + by for by in late if not any(other.only_meets(push, by) for other in others)]
+        shifts = np.delete(edges, cycle) - edges[cycle]
+        places = [push.start + by for by in shifts if not any(other.only_meets(push, by) for other in others)]
         return max(
-            (float(self.gain[np.abs(self.starts - at) < 2 * _STARTS].max(initial=0.0)) for at in places), default=0
+            (float(self.gain[np.abs(self.starts - time) < 2 * _STARTS].max(initial=0.0)) for time in places),
+            default=0,
         )
 
     def shared(self, taken: Sequence[PushedWindow]) -> np.ndarray:
@@ -350,11 +351,11 @@ def _force(
 
     Every scan of a search needs them, with another error each time.
     """
-    known = signals.memory.setdefault("forces", {})
-    if link not in known or not np.array_equal(known[link][0], sigma):
+    by_link = signals.memory.setdefault("forces", {})
+    if link not in by_link or not np.array_equal(by_link[link][0], sigma):
         columns = -signals.pushed(link, rows) / sigma[:, None]
-        known[link] = sigma, columns, np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0), {}
-    return known[link][1:]
+        by_link[link] = sigma, columns, np.cumsum(np.einsum("san,sbn->sab", columns, columns), axis=0), {}
+    return by_link[link][1:]
 
 
 def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
@@ -370,10 +371,10 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
         number = heappop(heap)[1]
         of_length = windows[number]
         if number not in best or any(other.meets(best[number][0]) for other in taken[best[number][1] :]):
-            push_left = of_length.best(taken) if taken else of_length.strongest
-            if push_left is not None:
-                best[number] = push_left, len(taken)
-                heappush(heap, (-push_left.gain, number))
+            next_window = of_length.best(taken) if taken else of_length.strongest
+            if next_window is not None:
+                best[number] = next_window, len(taken)
+                heappush(heap, (-next_window.gain, number))
             continue
         push = best[number][0]
         if taken and push.gain < _LEAST_GAIN_RATIO * taken[0].gain:
@@ -388,8 +389,8 @@ def strongest(windows: Sequence[Windows]) -> list[PushedWindow]:
     bare = [push for push in taken if any(w.bare(push) for w in windows)]
     alone = [
         push
-        for push, around, again in compared
-        if push.gain > max((_SHARP if push in bare else _STANDS_OUT) * around, _STANDS_OUT * again)
+        for push, around, repeated in compared
+        if push.gain > max((_SHARP if push in bare else _STANDS_OUT) * around, _STANDS_OUT * repeated)
     ]
     # next to a push that does not repeat, one that repeats counts too if nothing around it is similar
     return [p for p, around, _ in compared if p in alone or (alone and p.gain > _SHARP * around)]
@@ -406,10 +407,10 @@ def _usual_and_repeated(push: PushedWindow, taken: Sequence[PushedWindow], windo
     as_long = min((w.duration for w, _ in of_log), key=lambda duration: abs(duration - push.duration))
     scale = push.duration / as_long
     usual = _usual_gain(push, of_link)
-    again = scale * max((w.again(push, taken) for w, _ in of_log if w.duration == as_long), default=0.0)
+    repeated = scale * max((w.gain_at_phase(push, taken) for w, _ in of_log if w.duration == as_long), default=0.0)
     near = scale * max((w.near(push, free) for w, free in of_log if w.duration == as_long), default=0.0)
     shortest = [w for w, _ in of_log if w.duration == _DURATIONS[0]]
-    return max(usual, near, push.duration * max((w.beside_edges(push) for w in shortest), default=0.0)), again
+    return max(usual, near, push.duration * max((w.gain_next_to(push) for w in shortest), default=0.0)), repeated
 
 
 def _usual_gain(push: PushedWindow, windows: Free) -> float:

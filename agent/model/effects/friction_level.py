@@ -62,8 +62,8 @@ class FrictionLevel(Effect):
         return [{**settings, "reversal_travel": fraction * (high - low)} for fraction in REVERSAL_TRAVELS]
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
-        own = self.level_names(settings)
-        return (*own, "reversal_level") if "reversal_travel" in settings else own
+        level_names = self.level_names(settings)
+        return (*level_names, "reversal_level") if "reversal_travel" in settings else level_names
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (axle,) = joints
@@ -74,5 +74,5 @@ class FrictionLevel(Effect):
         return on_axle(signals.reference, axle, *columns)
 
     def possible(self, reference: NominalModel, joints: Joints, settings: Numbers, values: Numbers) -> bool:
-        late = "reversal_travel" not in settings or values["reversal_level"] > 0
-        return late and self.level_possible(reference, joints[0], settings, values)
+        approached = "reversal_travel" not in settings or values["reversal_level"] > 0
+        return approached and self.level_possible(reference, joints[0], settings, values)

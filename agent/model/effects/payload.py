@@ -55,15 +55,15 @@ class Payload(Effect):
             if not abs(values[0]) > _LEAST_MASS:
                 return []
             start = dict(zip(_START, map(float, values[:4]), strict=True))
-        known = self._own(dict(zip(self.names(start), values, strict=True))) > BELOW_ZERO
-        return [start] if known else [start, {**start, _POINT: 1.0}]
+        physical = self._own(dict(zip(self.names(start), values, strict=True))) > BELOW_ZERO
+        return [start] if physical else [start, {**start, _POINT: 1.0}]
 
     def names(self, settings: Numbers) -> tuple[str, ...]:
         first = ("mass", "moment_x", "moment_y", "moment_z")
         if _POINT in settings:
             return first
-        own = ("inertia",) if "m0" in settings else tuple(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz"))
-        return (*first, *own)
+        more = ("inertia",) if "m0" in settings else tuple(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz"))
+        return (*first, *more)
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         return _of_ball(_last_link(signals, signals.standard), settings)
@@ -73,8 +73,8 @@ class Payload(Effect):
         return _of_ball(link, settings)
 
     def prior_precision(self, context: FitContext, joints: Joints, settings: Numbers) -> np.ndarray | None:
-        mass, moment, own, link = _USUAL
-        usual = {"mass": mass, "moment": moment, "inertia": own if settings else link}
+        mass, moment, own_inertia, link_inertia = _USUAL
+        usual = {"mass": mass, "moment": moment, "inertia": own_inertia if settings else link_inertia}
         return np.diag([usual[name.split("_")[0]] ** -2.0 for name in self.names(settings)])
 
     def plausible(self, settings: Numbers, values: Numbers) -> bool:

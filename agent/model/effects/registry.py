@@ -71,8 +71,8 @@ def defined_in(package: str, folders: Iterable[str]) -> Iterator[Effect]:
     for entry in pkgutil.iter_modules(folders, f"{package}."):
         module = importlib.import_module(entry.name)
         for kind in vars(module).values():
-            own = isinstance(kind, type) and kind.__module__ == entry.name and "name" in vars(kind)
-            if own and issubclass(kind, Effect):
+            defined_here = isinstance(kind, type) and kind.__module__ == entry.name and "name" in vars(kind)
+            if defined_here and issubclass(kind, Effect):
                 yield kind()
 
 
@@ -86,7 +86,7 @@ def _load(point: EntryPoint) -> Effect | None:
     if not isinstance(effect, Effect):
         _log.warning("effect %r (%s) is left out: it is no agent.model.effects.Effect", point.name, point.value)
         return None
-    missing = [what for what in _DESCRIBED_BY if not getattr(effect, what, "")]
+    missing = [attribute for attribute in _DESCRIBED_BY if not getattr(effect, attribute, "")]
     if missing or effect.name != point.name:
         why = f"it lacks {', '.join(missing)}" if missing else f"it calls itself {effect.name!r}"
         _log.warning("effect %r (%s) is left out: %s", point.name, point.value, why)

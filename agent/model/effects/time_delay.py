@@ -60,8 +60,8 @@ class TimeDelay(Effect):
         return [{"delay": delay}]
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
-        late = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
-        shifted = _over_time(signals)(late)
+        delayed = np.clip(signals.time - settings["delay"], signals.time[0], signals.time[-1])
+        shifted = _over_time(signals)(delayed)
         change = shifted - signals.predicted
         return {joint: change[:, joint, None] for joint in range(signals.q.shape[1])}
 

@@ -120,7 +120,7 @@ class TwoMass(Effect):
         gain, share = context.energy_taken(k, columns)
         possible = np.array([self.plausible({}, {"share": value}) for value in share])
         order = np.lexsort((-gain, ~possible))[:_TRIED]
-        return [tried[at] for at in order], float(gain[order[0]])
+        return [tried[index] for index in order], float(gain[order[0]])
 
     def _neighbours(self, entry: dict[str, float], factor: float) -> list[dict[str, float]]:
         """Every combination of nonlinear parameters a step up, as they are, and a step down."""
@@ -131,14 +131,14 @@ class TwoMass(Effect):
 
     def _on_single_joint(self, context: FitContext) -> dict[int, tuple[list[dict[str, float]], np.ndarray]]:
         """Per joint: the grid, and (S', len(grid)) torque on this joint alone, motions concatenated."""
-        known = context.signals[0].memory.setdefault("alone", {})
-        if self.name not in known:
+        by_effect = context.signals[0].memory.setdefault("alone", {})
+        if self.name not in by_effect:
             heavy = (k for k in range(context.reference.robot.dof) if _inertia(context, k) > _MASSLESS)
-            known[self.name] = {}
+            by_effect[self.name] = {}
             for k in heavy:
                 entries = self._starting_grid(context, k)
-                known[self.name][k] = entries, self._on_joint(context, k, entries)
-        return known[self.name]
+                by_effect[self.name][k] = entries, self._on_joint(context, k, entries)
+        return by_effect[self.name]
 
     def _starting_grid(self, context: FitContext, k: int) -> list[dict[str, float]]:
         inertia = _inertia(context, k)
@@ -160,12 +160,12 @@ class TwoMass(Effect):
 
     def prepare(self, motions: Sequence[MotionSignals], wanted: Sequence[tuple[Joints, Numbers]]) -> None:
         keys = dict.fromkeys(_key(joints[0], settings) for joints, settings in wanted)
-        known = [motion.memory.setdefault("leads", {}) for motion in motions]
-        new = [key for key in keys if any(key not in of_motion for of_motion in known)]
+        leads_of_motions = [motion.memory.setdefault("leads", {}) for motion in motions]
+        new = [key for key in keys if any(key not in of_motion for of_motion in leads_of_motions)]
         if not new:
             return
         joints, stiffness, damping, gap = (np.array(part) for part in zip(*new, strict=True))
-        for of_motion, parts in zip(known, leads(motions, joints, stiffness, gap, damping), strict=True):
+        for of_motion, parts in zip(leads_of_motions, leads(motions, joints, stiffness, gap, damping), strict=True):
             of_motion.update(zip(new, zip(*(part.T for part in parts), strict=True), strict=True))
 
     def release(self, motions: Sequence[MotionSignals]) -> None:

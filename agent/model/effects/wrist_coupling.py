@@ -179,12 +179,12 @@ class _Parts:
 
     def _part(self, key: tuple[object, ...], make: Callable[[], np.ndarray]) -> np.ndarray:
         """Computed once, because many forms need the same part."""
-        known = self.signals.remembered(self._key, dict)
-        if key not in known:
+        parts = self.signals.remembered(self._key, dict)
+        if key not in parts:
             part = make()
             flat = part.reshape(len(part), -1)
-            known[key] = self.signals.low_pass(flat).reshape(-1, *part.shape[1:]) if self._filtered else part
-        return known[key]
+            parts[key] = self.signals.low_pass(flat).reshape(-1, *part.shape[1:]) if self._filtered else part
+        return parts[key]
 
 
 def _model_friction(signals: MotionSignals, axle: int, joint: int, ratio: float) -> np.ndarray:
