@@ -30,7 +30,7 @@ def shape(name: str, nonlinear: int = 0, usual: bool = False, transient: bool = 
     return SimpleNamespace(name=name, usual=usual, nonlinear=nonlinear, **methods)
 
 
-def synthetic_fit(given: bool = True, method: str = "weighted", guard: int = 9) -> Fit:
+def synthetic_fit(given: bool = True, of_file: bool = False, guard: int = 9) -> Fit:
     """A model that was `given`, or one drawn to its prior; the first joint stands for a while in the first log.
 
     `guard` rows where the logs meet are in no cell.
@@ -39,7 +39,7 @@ def synthetic_fit(given: bool = True, method: str = "weighted", guard: int = 9) 
     terms = [SimpleNamespace(form=form) for form in ("coulomb", "viscous", "offset")]
     values = np.array([2.0, 3.0, 8.0, 0.0, 1.0])
     own = {"independent": ["a", "b"], "noise_share": np.array([0.6, 1.0])}
-    model = SimpleNamespace(terms=terms, values=values, method=method, **own)
+    model = SimpleNamespace(terms=terms, values=values, of_file=of_file, **own)
     robot = SimpleNamespace(max_velocity=np.array([2.0, 3.0]), dof=2)
     reference: Any = SimpleNamespace(robot=robot, scale=NOMINAL, model=model, payload=None, coupling=np.eye(2))
     signals = []

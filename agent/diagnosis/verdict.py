@@ -1,5 +1,5 @@
 """The verdict of a diagnosis: `name_causes` and `keep_supported` choose its causes, `decide_verdict` says it of
-torque, `decide_by_position` of positions. `with_numbers` (`simulator_file/explanation.py`) adds a file's numbers.
+torque, `decide_by_position` of positions. `with_numbers` adds a file's numbers.
 
 | verdict | condition |
 | --- | --- |

@@ -29,7 +29,7 @@ from agent.estimation import beyond_fit
 from agent.model import CATALOGUE, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription, torque_units
-from agent.simulators import SIMULATOR, Simulator
+from agent.simulators import Simulator
 
 _ONE_MOTION = "one motion only: held-out figures come from parts of it; another motion would be a harder test"
 
@@ -77,7 +77,7 @@ def diagnose(
         one_motion = (_ONE_MOTION,) if len(logs) == 1 else ()
         warnings = (*repeated, *positions.warnings, *_path_warnings(motion), *one_motion)
         return build(positions.explanation, _verdict(positions.explanation, motion), motion, warnings)
-    if model is not None and model.method == SIMULATOR:
+    if model is not None and model.of_file:
         explanation = search_simulator(robot, model, logs, cutoff, without, progress)
     else:
         progress("filtering, and fitting the model in every fold" if model is None else "filtering")

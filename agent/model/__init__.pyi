@@ -42,6 +42,7 @@ from .regimes import (
     standstill_speed as standstill_speed,
 )
 from .rigid_friction import (
+    SIMULATOR as SIMULATOR,
     HealthyEffect as HealthyEffect,
     ModelEffect as ModelEffect,
     ParameterPrior as ParameterPrior,

@@ -31,9 +31,9 @@ def effect_torque(
     if entry.effect not in CATALOGUE:
         raise InputError(f"the model has an effect {entry.effect!r} that this version cannot evaluate")
     effect = CATALOGUE[entry.effect]
-    names_of = model.robot.joint_names
+    joint_names = model.robot.joint_names
     try:
-        joints = tuple(names_of.index(name) for name in entry.joints)
+        joints = tuple(joint_names.index(name) for name in entry.joints)
         names = effect.names(entry.parameters)
         values = np.array([entry.parameters[name] for name in names], dtype=float)
     except (KeyError, ValueError) as error:

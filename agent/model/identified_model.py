@@ -19,7 +19,6 @@ from agent.robot import RobotDescription, torque_units
 SCHEMA = "model/1"
 
 
-#: Half the 95 % interval of a normal distribution, in standard deviations.
 _MANY_OPEN = 0.1  # of all combinations of parameters; four arms predict 1.5 to 9 times worse beyond it
 #: Rule of thumb for exciting trajectories (Gautier and Khalil 1992).
 USUAL_CONDITION = 100

@@ -17,18 +17,18 @@ class Bristles:
     without damping of its own (Canudas de Wit, Olsson, Åström, Lischinsky, IEEE TAC 40, 1995), Dahl's without a rise.
 
     σ is such that they carry the greatest g after a `travel` [rad], 0 for one that is to be as short as possible.
-    `beside` the joint's friction, or as a part of it.
+    `additional` to the joint's friction, or a part of it.
     """
 
     level: float = 0.0
     rise: float = 0.0
     speed: float = 1.0
     travel: float = 0.0
-    beside: bool = False
+    additional: bool = False
 
     def of_joint(self, friction: float) -> Bristles:
         """With what they take of the Coulomb friction [N·m] of their joint: all of it where it falls with speed."""
-        if self.beside:
+        if self.additional:
             return self
         return replace(self, level=friction if self.rise else min(self.level, friction))
 
@@ -63,7 +63,7 @@ class PassiveForces:
             total = total + amplitude * np.sin(order * q + phase)
         if self.bristles is not None:
             bristles = self.bristles.of_joint(friction)
-            total = total + bristles.torque(q, qd) - (0.0 if bristles.beside else bristles.level) * np.sign(qd)
+            total = total + bristles.torque(q, qd) - (0.0 if bristles.additional else bristles.level) * np.sign(qd)
         return total
 
 

@@ -11,6 +11,9 @@ import numpy as np
 from agent.model.friction_terms import AxleMotion, FrictionTerm, axle_columns
 from agent.robot import RigidBodies, RobotDescription
 
+#: `method` of a model that was read from a simulator's file.
+SIMULATOR = "simulator"
+
 
 @dataclass(frozen=True)
 class ModelEffect:
@@ -100,6 +103,11 @@ class RigidFrictionModel:
     effects: tuple[ModelEffect, ...] = ()
     healthy: tuple[HealthyEffect, ...] = ()
     provenance: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def of_file(self) -> bool:
+        """Whether a simulator's file states it: without data, so without an error or an uncertainty of its own."""
+        return self.method == SIMULATOR
 
     @property
     def base_values(self) -> np.ndarray:

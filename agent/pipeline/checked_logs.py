@@ -17,7 +17,7 @@ from agent.recording import (
     recorded_joints,
 )
 from agent.robot import RobotDescription, load_robot
-from agent.simulators import SIMULATOR, is_simulator, load_arm as load
+from agent.simulators import is_simulator, load_arm as load
 from agent.validation import (
     flipped_joints,
     is_of_another_robot,
@@ -171,9 +171,9 @@ def check_plausible(
     others = sorted({log.metadata.get("robot", "") for log in logs} - {"", robot.name}) if described else []
     named = [f"the logs say that they are of robot {' and '.join(others)}, not of {robot.name}"] if others else []
     # a simulator without friction predicts no arm
-    if named and not refusals and model is not None and model.method != SIMULATOR and not predicted():
+    if named and not refusals and model is not None and not model.of_file and not predicted():
         refusals, named = [f"{named[0]}, and its model does not predict them"], []
-    if not refusals and model is not None and model.method != SIMULATOR and not predicted():
+    if not refusals and model is not None and not model.of_file and not predicted():
         refusals = [_ANOTHER_ROBOT] if is_of_another_robot(model, logs) else []
     if refusals and not force:
         names = ", ".join(log.name for log in logs)

@@ -1,4 +1,4 @@
-from .arm import SIMULATOR as SIMULATOR, SimulatedArm as SimulatedArm, model_of as model_of
+from .arm import SimulatedArm as SimulatedArm, model_of as model_of
 from .corrected.corrected_file import write_corrected as write_corrected, written_files as written_files
 from .corrected.correction import (
     Correction as Correction,

@@ -11,12 +11,9 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from agent.core import InputError
-from agent.model import FrictionTerm, IdentifiedModel, ModelEffect, Reversal
+from agent.model import SIMULATOR, FrictionTerm, IdentifiedModel, ModelEffect, Reversal
 from agent.robot import Dynamics, Joint, ParameterLayout, RobotDescription, chain_of, rigid_bodies
 from agent.simulators.servos import PositionServos
-
-#: `method` of a model that was read from a simulator's file.
-SIMULATOR = "simulator"
 
 #: Speed [rad/s or m/s] and acceleration of a joint whose file and robot say nothing.
 USUAL_SPEED, _USUAL_ACCELERATION = np.pi, 10.0

@@ -98,10 +98,6 @@ class RecordedCommand:
     def _smooth(self) -> Akima1DInterpolator:
         return Akima1DInterpolator(self.time, self.set_points, method="makima")
 
-    def set_points_at(self, times: np.ndarray) -> np.ndarray:
-        """(S, n) straight between the recorded ones at times (S,) [s]."""
-        return np.stack([np.interp(times, self.time, column) for column in self.set_points.T], axis=1)
-
     def between(self, edges: np.ndarray, delay: np.ndarray) -> np.ndarray:
         """(T, n) its mean between `edges` (T + 1,) [s] as it arrives, late by `delay` (n,) [s]."""
         if not self.held:

@@ -16,7 +16,6 @@ from agent.diagnosis.hypotheses.noise_model import HealthyForm, NoiseModel, smoo
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
-from agent.simulators import SIMULATOR
 from tests.synthetic_fit import NOMINAL, PERIOD, shape, synthetic_fit, synthetic_form, written_out
 
 STEP, ROWS = 2, 110  # of 16 ms one row is kept
@@ -47,7 +46,7 @@ class Written:
         self.log, self.base = np.repeat([0, 1], [60, 50]), self.sigma.min(axis=1)
         self.columns, self.effects = whole[..., :5].reshape(-1, 5), [whole[..., span] for span in spans]
         self.size = [np.sqrt(np.mean((one * self.sigma[..., None]) ** 2, axis=1)) for one in self.effects]  # N·m
-        self.learned = learned = fit.keeps_parameters and fit.reference.model.method != SIMULATOR
+        self.learned = learned = fit.keeps_parameters and not fit.reference.model.of_file
         covariance = np.linalg.inv(fit.precision)
         self.friction = [2] if learned else []  # not the offset, and not what is zero
         self.prior = covariance.copy()
@@ -160,7 +159,7 @@ class Written:
 @pytest.fixture(params=["healthy", "drawn", "file"])
 def case(request):
     """Evidence on a model whose healthy arm is known, on one fitted to the same data, and on a simulator's file."""
-    fit = synthetic_fit(request.param != "drawn", SIMULATOR if request.param == "file" else "weighted")
+    fit = synthetic_fit(request.param != "drawn", request.param == "file")
     forms = [synthetic_form(fit, *form) for form in FORMS]
     forms[5].blocks[1][:, 1] = 0
     forms[3].blocks[1] *= 1e-3 * (np.arange(len(fit.cell_of_row)) % 40 > 10)[:, None]
@@ -313,7 +312,7 @@ def test_a_large_gap_adds_its_own_size_to_the_usual_ones(case):
 
 
 def test_the_noise_model_trusts_no_form_beyond_a_limit_and_has_no_columns_that_the_logs_hardly_notice(case):
-    written, fit = case[1], synthetic_fit(method=SIMULATOR)
+    written, fit = case[1], synthetic_fit(of_file=True)
     energy = WEIGHT * np.sum((written.alike(0, 1) * NOMINAL[1]) ** 2)
     amounts = np.sqrt(np.array([0, 0.0099, 0.0101]) / energy) * NOMINAL[1] / written.size[0][1]
     plain, less, more = (NoiseModel(fit, [], [HealthyForm(written.forms[0], one)], THE_LAW) for one in amounts)

@@ -174,8 +174,8 @@ def _follows(dataset: Dataset, error: np.ndarray, joint: int) -> dict[str, float
     good = np.isfinite(error)
     parts = smooth_parts(q[good], qd[good], qdd[good], dataset.time[good], dataset.log[good])
     whole = float(np.sum(error[good] ** 2))
-    return {name: 1 - float(np.sum(_left(columns, error[good]) ** 2)) / whole for name, columns in parts.items()}
+    return {name: 1 - float(np.sum(_residual(columns, error[good]) ** 2)) / whole for name, columns in parts.items()}
 
 
-def _left(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
+def _residual(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
     return np.asarray(error - columns @ np.linalg.lstsq(columns, error, rcond=1e-9)[0])

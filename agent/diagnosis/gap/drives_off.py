@@ -20,7 +20,6 @@ from agent.diagnosis.rows.dataset import Dataset
 from agent.model import Effect, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR
 
 _OUTLIER = 5.0  # standard errors: a log of another day says no more against any hypothesis
 
@@ -46,7 +45,7 @@ def channel_zero(robot: RobotDescription, log: Log, model: IdentifiedModel | Non
         InputError: the log has no torque, is short, is of an arm that moves or whose drives hold it, or the model is a
             simulator's file.
     """
-    if model is not None and model.method == SIMULATOR:
+    if model is not None and model.of_file:
         raise InputError(
             f"{log.name}: a log with the drives off needs an estimated model; with a simulator's file, leave it out"
         )

@@ -18,7 +18,6 @@ from scipy.linalg import block_diag, solve_triangular
 from agent.diagnosis.hypotheses.law import EvidenceLaw
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
-from agent.simulators import SIMULATOR
 
 ROW_SPACING = 0.016  # numerical: s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _FORM = 100.0  # numerical: of σ² per noise column for a wrong form, at most: moments are of float32 columns
@@ -87,12 +86,11 @@ class NoiseModel:
         unknown = healthy is None or (healthy and all(effect.mean is None for effect in healthy))
         usual = self._usual(candidates) if unknown else {}
         healthy = healthy or ()
-        own_model = fit.keeps_parameters and fit.reference.model.method != SIMULATOR
         # these logs say nothing of how much the model errs in other motion, however little noise they have
         noise_share = fit.reference.model.noise_share
         own_error = np.ones(self.dof) if noise_share is None else noise_share
-        self._least_scale = own_error if own_model and healthy else np.zeros(self.dof)
-        spread = _spread(fit.precision) if own_model else np.empty((len(fit.precision), 0))
+        self._least_scale = own_error if fit.has_own_error and healthy else np.zeros(self.dof)
+        spread = _spread(fit.precision) if fit.has_own_error else np.empty((len(fit.precision), 0))
         self.torque_share: list[float] = []
         self.columns: list[np.ndarray] = []
         self.moments: list[np.ndarray] = []

@@ -33,7 +33,6 @@ from agent.diagnosis.hypotheses.pool import CandidatePool
 from agent.diagnosis.rows.candidate import Candidate, EffectKey
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
-from agent.simulators import SIMULATOR
 
 LEAST_SCALE = 0.2  # of σ²: no smaller noise level is known
 _ROUNDS = 3  # numerical: of scales and sizes, one more where nothing is known
@@ -327,9 +326,9 @@ class Score:
 
 def _varying_friction(fit: Fit) -> np.ndarray:
     """Parameters that differ from day to day: friction of a model that was estimated before on the machine."""
-    model = fit.reference.model
-    if not fit.keeps_parameters or model.method == SIMULATOR:
+    if not fit.has_own_error:
         return np.empty(0, dtype=int)
+    model = fit.reference.model
     friction = [k for k, term in enumerate(model.terms, len(model.independent)) if term.form != "offset"]
     return np.array([k for k in friction if model.values[k] != 0], dtype=int)
 

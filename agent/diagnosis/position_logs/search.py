@@ -95,7 +95,7 @@ def search_positions(
     progress("running the simulator under the recorded command")
     fit, how, later = _fitted(free, reference, logs, progress, known_kp)
     dataset = assemble_positions(fit, simulator, logs, known_kp, later)
-    turns = _turns(dataset.fit.signals, simulator.arm.joint_names)
+    turns = _reversal_warnings(dataset.fit.signals, simulator.arm.joint_names)
     warnings = (*_about(fit, how, later, simulator.arm.impedance), *turns)
     return PositionExplanation(explain_rows(dataset, without, progress), warnings)
 
@@ -313,7 +313,7 @@ def _listed(pairs: Sequence[tuple[str, str]]) -> str:
     return ", ".join(" and ".join(pair) for pair in pairs)
 
 
-def _turns(signals: Sequence[MotionSignals], names: Sequence[str]) -> list[str]:
+def _reversal_warnings(signals: Sequence[MotionSignals], names: Sequence[str]) -> list[str]:
     reversals = MotionCoverage.of(signals).reversals
     steady = ", ".join(name for name, count in zip(names, reversals, strict=True) if count < _REVERSALS)
     warning = f"{steady} turn back less than {_REVERSALS} times, so that their friction and gain cannot be told"

@@ -29,7 +29,6 @@ from agent.estimation import (
 from agent.model import IdentifiedModel, MotionSignals, NominalModel, known_effects, known_payload
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +36,8 @@ class Dataset:
     """The fit, the raw residual of the model (S', n) [N·m], and where each row lies.
 
     time, log (S',): time in its log [s] and which log; speed (S', n) of the joints; rate, cutoff [Hz] of the rows and
-    of their filter; has_reference: whether the model is one of other data. Where positions are judged instead of
-    torque, `servos` has the parameters of the servos, and [N·m] above is rad or m.
+    of their filter; has_reference: whether a model was given (`Fit.keeps_parameters`). Where positions are judged
+    instead of torque, `servos` has the parameters of the servos, and [N·m] above is rad or m.
     """
 
     robot: RobotDescription
@@ -67,7 +66,7 @@ class Dataset:
         for a model of these logs.
         """
         error = np.zeros(self.robot.dof)
-        if not self.has_reference or self.model.method == SIMULATOR:
+        if not self.has_reference or self.model.of_file:
             return error
         for joint, (rows, index) in enumerate(zip(self.fit.rows, self.fit.parameter_index, strict=True)):
             columns = rows[:, :-1] * self.fit.sigma[:, joint, None]
@@ -88,7 +87,7 @@ class Dataset:
     @property
     def model_error(self) -> float | None:
         """The model's held-out error over the torque of these logs; None of a simulator's file."""
-        if self.model.method == SIMULATOR:
+        if self.model.of_file:
             return None
         torque = np.concatenate([log.effort for log in self.logs if log.effort is not None])
         share = float(np.linalg.norm(self.model.held_out_rmse) / np.sqrt(np.mean(torque**2, axis=0).sum()))

@@ -192,8 +192,17 @@ class Fit:
 
     @property
     def keeps_parameters(self) -> bool:
-        """Whether the model's parameters are drawn to what they are; of a model of these logs, to its prior."""
+        """Whether the model's parameters are drawn to what they are; of a model of these logs, to its prior.
+
+        So it says whether the model is of other data, as `Dataset.has_reference`, but for a model that is refitted in
+        every fold: that one was given, and its parameters are free.
+        """
         return not np.any(self.prior_information)
+
+    @property
+    def has_own_error(self) -> bool:
+        """Whether the model errs by itself, and its friction from day to day: it was fitted to other logs."""
+        return self.keeps_parameters and not self.reference.model.of_file
 
     @property
     def transient(self) -> bool:

@@ -33,7 +33,7 @@ class MotionCoverage:
         unit = np.where([joint.prismatic for joint in robot.joints], _METRES, 1.0)
         lowest, highest = (side([side(s.q, axis=0) for s in signals], axis=0) for side in (np.min, np.max))
         speed = np.max([np.abs(s.qd).max(axis=0) for s in signals], axis=0)
-        turns = [sum(_turns(s.q[:, j], LIMITS.least_travel) for s in signals) for j in range(robot.dof)]
+        turns = [sum(_count_reversals(s.q[:, j], LIMITS.least_travel) for s in signals) for j in range(robot.dof)]
         moved = travelling_joints(signals)
         return cls(robot.joint_names, moved, lowest / unit, highest / unit, speed / unit, np.array(turns))
 
@@ -68,7 +68,7 @@ class MotionCoverage:
         return ""
 
 
-def _turns(q: np.ndarray, least: float) -> int:
+def _count_reversals(q: np.ndarray, least: float) -> int:
     """How often a position (S,) turns back by more than `least`."""
     turns, way = 0, 0
     low = high = q[0]

@@ -40,7 +40,6 @@ from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import BELOW_ZERO, CATALOGUE, FileNumbers, IdentifiedModel
 from agent.recording import Log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR
 
 #: Effects that are the file's numbers under another name.
 _NUMBERS = tuple(
@@ -69,7 +68,7 @@ class Explanation:
     @property
     def of_file(self) -> bool:
         """Whether the model is a simulator's file."""
-        return self.released.given.model.method == SIMULATOR
+        return self.released.given.model.of_file
 
     @cached_property
     def dataset(self) -> Dataset:

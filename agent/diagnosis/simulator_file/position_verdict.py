@@ -30,7 +30,7 @@ def verdict_on_positions(explanation: Explanation) -> Verdict:
     with_remainder = {names.index(part.joint) for part in remainders(dataset, explanation.gap)}
     numbers = causes_of_numbers(released, selected, gap, doubtful_gains(explanation), with_remainder)
     sizes = causes_of(dataset, selected, gap), causes_of(dataset, selected, explanation.gap)
-    effects = [of_all for of_all, of_rest in zip(*sizes, strict=True) if has_size(of_rest)]
+    effects = [as_given for as_given, beyond_numbers in zip(*sizes, strict=True) if has_size(beyond_numbers)]
     errs = selected.fit.beyond_usual(gap.rmse_before)
     where_it_errs = [
         cause

@@ -41,10 +41,6 @@ class ReleasedSimulator:
         """Kind and joint of each group."""
         return frozenset((group.kind, group.joint) for group in self.groups)
 
-    def released_in(self, dataset: Dataset) -> Fit:
-        """The same numbers released in other data of the same simulator."""
-        return released_fit(dataset, self.groups) if self.groups else dataset.fit
-
     @property
     def model(self) -> IdentifiedModel:
         """The simulator's, its numbers as moved before any effect."""

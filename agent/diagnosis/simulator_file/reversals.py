@@ -42,14 +42,14 @@ def with_reversals(dataset: Dataset) -> IdentifiedModel:
             parts = [s.low_pass(np.outer(s.axles.direction(term.axle, reversal), share[own])) for s in signals]
             columns.append(np.concatenate(parts) / dataset.fit.sigma[:, own])
         target = (dataset.residual / dataset.fit.sigma)[:, own] + level * columns[0]
-        error = [_left(target, column) for column in columns]
+        error = [_remaining_energy(target, column) for column in columns]
         best = int(np.argmin(error))
         if error[best] < (1 - LIMITS.least_gain) * error[0]:
             terms[k] = replace(term, reversal=options[best])
     return replace(model, terms=tuple(terms))
 
 
-def _left(target: np.ndarray, column: np.ndarray) -> float:
+def _remaining_energy(target: np.ndarray, column: np.ndarray) -> float:
     """Squared error of `target` (S', n) that a level times `column` (S', n) leaves; the level is not negative."""
     level = max(float(np.nansum(target * column) / max(np.nansum(column**2), 1e-300)), 0.0)
     return float(np.nansum((target - level * column) ** 2))

@@ -133,7 +133,9 @@ class DressPack(Effect):
             powers = [values.get(key, 0.0) for key in ("constant", "stiffness", "quadratic", "cubic")]
             spring = spring_of(Polynomial(powers)(Polynomial([-values.get("middle", 0.0), 1.0])))
         rubbing = (
-            Bristles(level=values["hysteresis"], travel=values["travel"], beside=True) if "travel" in values else None
+            Bristles(level=values["hysteresis"], travel=values["travel"], additional=True)
+            if "travel" in values
+            else None
         )
         return PassiveForces(spring=spring, bristles=rubbing)
 

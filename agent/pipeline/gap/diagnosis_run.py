@@ -17,7 +17,7 @@ from agent.pipeline.gap.next_experiment import check_arm, check_tool
 from agent.recipe import load_recipe
 from agent.recording import Log, is_dataset, is_nameless, read_log
 from agent.robot import RobotDescription
-from agent.simulators import SIMULATOR, Simulator, is_simulator, load_joint_map, load_simulator
+from agent.simulators import Simulator, is_simulator, load_joint_map, load_simulator
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ def run_diagnosis(
     """Read logs and model, check that they fit together, diagnose and simulate."""
     reference, simulator = read_reference(robot, paths, question, console)
     described = robot is not None or simulator is None
-    if reference is not None and (robot is None or reference.method == SIMULATOR):
+    if reference is not None and (robot is None or reference.of_file):
         robot = reference.robot  # of the file, with the drives of the description
     if robot is not None and reference is not None and robot.name != reference.robot.name:
         console.warn(

@@ -136,7 +136,7 @@ def check_folder(folder: Path) -> None:
     Raises:
         InputError: as said; AgentError where nothing can be written.
     """
-    existing = next(dialect for dialect in (folder, *folder.absolute().parents) if dialect.exists())
+    existing = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
     if not existing.is_dir():
         raise InputError(f"{existing}: is a file; name a folder for the experiment with -o")
     if not os.access(existing, os.W_OK | os.X_OK):

@@ -112,11 +112,6 @@ class ArmNumbers:
     step: float | None = None
     integrator: str | None = None
 
-    @property
-    def has_servos(self) -> bool:
-        """Whether every joint's servo is known."""
-        return all(joint.kp is not None for joint in self.joints)
-
     def table(self, key: str) -> dict[str, Any]:
         """One number of every joint by the joint's name."""
         return {joint.name: getattr(joint, key) for joint in self.joints}
@@ -163,7 +158,7 @@ def _of_changes(path: Path, model: IdentifiedModel) -> Iterator[LeftEffect]:
         for entry in read_json(path)["effects"]:
             reason = entry.get("reason") or "its part of the gap stays"
             effect = ModelEffect(entry["effect"], tuple(entry["joints"]), entry["parameters"])
-            yield _left(model, effect, f"{reason}, which stays")
+            yield _left_effect(model, effect, f"{reason}, which stays")
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(_NOT_OURS.format(path)) from None
 
@@ -249,7 +244,7 @@ def _of_model(
         )
         for k, joint in enumerate(robot.joints)
     )
-    own = [_left(model, entry, f"{torque_text(model, entry)} stays out") for entry in model.effects]
+    own = [_left_effect(model, entry, f"{torque_text(model, entry)} stays out") for entry in model.effects]
     more = [f"not in the files: {text}" for text in left_out(model, lines) if text.startswith("what friction")]
     if np.any(robot.coupling - np.diag(np.diag(robot.coupling))):
         more.append("axles are coupled: numbers of a joint are those of its own axle; the MJCF has tendons for them")
@@ -259,7 +254,7 @@ def _of_model(
     return ArmNumbers(robot.name, path.name, joints, urdf, mjcf, tuple(ranges), (*own, *left_effects), notes, step)
 
 
-def _left(model: IdentifiedModel, entry: ModelEffect, leaves: str) -> LeftEffect:
+def _left_effect(model: IdentifiedModel, entry: ModelEffect, leaves: str) -> LeftEffect:
     """An effect, with the passive forces that say it where it is one of a single uncoupled joint's motion."""
     robot, effect = model.robot, CATALOGUE.get(entry.effect)
     if effect is None or not effect.moves_arm or len(entry.joints) != 1 or entry.joints[0] not in robot.joint_names:

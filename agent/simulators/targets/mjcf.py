@@ -80,9 +80,9 @@ def _passive(element: Element, joint: JointNumbers, forces: Sequence[PassiveForc
             joint, f"cogging_{k}", gear=digits(order), cogging=digits(-amplitude / order, 1.0, phase)
         )
     bristles = [each.bristles for each in forces if each.bristles is not None]
-    for k, each in enumerate(bristle for bristle in bristles if bristle.beside):
+    for k, each in enumerate(bristle for bristle in bristles if bristle.additional):
         yield _without_current(joint, f"bristles_{k}", lugre=_lugre(each, joint, step))
-    if own := [each for each in bristles if not each.beside]:
+    if own := [each for each in bristles if not each.additional]:
         speed = next((each.speed for each in own if each.rise), 1.0)
         levels, rises = ([getattr(each, key) for each in own] for key in ("level", "rise"))
         whole = Bristles(sum(levels), sum(rises), speed, max(each.travel for each in own)).of_joint(joint.frictionloss)
