@@ -29,6 +29,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.joined import joined
 
 #: Times its held-out error that a model errs on healthy motion, except in a rare case. That error comes from few logs:
 #: its square, over what the model errs by, is χ² with `nu` degrees of freedom, over `nu`.
@@ -85,13 +86,12 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
     variances = np.zeros(len(fit.rows))
     if not fit.chosen:
         return variances
-    ends = len(fit.precision) + np.cumsum([0, *(len(c.names) for c in fit.chosen)])
     for joint in {joint for candidate in fit.chosen for joint in candidate.blocks}:
         parts, indices = [fit.rows[joint][:, :-1]], [fit.parameter_index[joint]]
-        for candidate, a, b in zip(fit.chosen, ends[:-1], ends[1:], strict=True):
+        for candidate, span in zip(fit.chosen, fit.spans, strict=True):
             if joint in candidate.blocks:
                 parts.append(candidate.blocks[joint])
-                indices.append(np.arange(a, b))
+                indices.append(np.arange(span.start, span.stop))
         columns, places = np.hstack(parts), np.concatenate(indices)
         variance = np.zeros(len(columns))
         for fold in fit.test_folds:
@@ -169,8 +169,7 @@ def remainders(dataset: Dataset, gap: HeldOutGap) -> Iterator[Remainder]:
 
 def _follows(dataset: Dataset, error: np.ndarray, joint: int) -> dict[str, float]:
     """Share of the squared error (S',) that a smooth function of each state of the joint explains."""
-    signals = dataset.fit.signals
-    q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept, joint] for s in signals]) for x in ("q", "qd", "qdd"))
+    q, qd, qdd = (joined(dataset.fit.signals, name)[:, joint] for name in ("q", "qd", "qdd"))
     good = np.isfinite(error)
     parts = smooth_parts(q[good], qd[good], qdd[good], dataset.time[good], dataset.log[good])
     whole = float(np.sum(error[good] ** 2))

@@ -11,6 +11,7 @@ from agent.diagnosis.document import RegimeShare
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.rows.joined import joined
 from agent.model import regime_masks, standstill_speed
 
 BANDS = ((0.0, 1.0), (1.0, 5.0), (5.0, 15.0), (15.0, np.inf))  # Hz
@@ -57,11 +58,7 @@ def share_intervals(rows: np.ndarray, floor: np.ndarray, block: np.ndarray) -> n
 
 def masks(dataset: Dataset, joint: int) -> dict[str, np.ndarray]:
     """(S,) bool of each regime of a joint: those of `REGIMES`, then logs or their cycles."""
-    signals = dataset.fit.signals
-    q, load, acceleration = (
-        np.concatenate([part[s.kept, joint] for s, part in zip(signals, parts, strict=True)])
-        for parts in ([s.q for s in signals], [s.rigid for s in signals], [s.qdd for s in signals])
-    )
+    q, load, acceleration = (joined(dataset.fit.signals, name)[:, joint] for name in ("q", "rigid", "qdd"))
     slowest = standstill_speed([dataset.speed], dataset.robot.max_velocity)[joint]
     of_state = regime_masks(q, dataset.speed[:, joint], acceleration, load, float(slowest), dataset.rate)
     return of_state | dict(_in_time(dataset))

@@ -16,7 +16,7 @@ from agent.diagnosis.hypotheses.joint_moments import solved_lower
 from agent.diagnosis.hypotheses.noise_model import scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidateBlock
 from agent.diagnosis.hypotheses.score import LEAST_SCALE, EvaluatedHypothesis, Score
-from agent.diagnosis.rows.candidate import Candidate
+from agent.diagnosis.rows.candidate import Candidate, parameter_ends
 from agent.diagnosis.rows.fit import Fit
 
 
@@ -99,7 +99,7 @@ class Evidence(Score):
         each begin and end. The scales are those without effects.
         """
         numbers = self.pool.numbers(candidates)
-        ends = len(self.prior) + np.cumsum([0, *(len(candidate.names) for candidate in candidates)])
+        ends = parameter_ends(len(self.prior), candidates)
         prior = block_diag(self.prior, *(self.pool.ridge(number, self.law.sizes[-1]) for number in numbers))
         return self._information(candidates, np.minimum(self.null_hypothesis.scales, 1.0)), prior, ends
 
@@ -116,7 +116,7 @@ class Evidence(Score):
 
     def _information(self, candidates: Sequence[Candidate], scales: np.ndarray) -> np.ndarray:
         numbers = self.pool.numbers(candidates)
-        ends = len(self.prior) + np.cumsum([0, *(len(candidate.names) for candidate in candidates)])
+        ends = parameter_ends(len(self.prior), candidates)
         total = np.zeros((int(ends[-1]),) * 2)
         for j in range(self.dof):
             on_joint = [number for number, candidate in enumerate(candidates) if j in candidate.blocks]

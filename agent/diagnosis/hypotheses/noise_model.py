@@ -18,6 +18,7 @@ from scipy.linalg import block_diag, solve_triangular
 from agent.diagnosis.hypotheses.law import EvidenceLaw
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.joined import joined, log_of_rows
 
 ROW_SPACING = 0.016  # numerical: s between the rows that are kept: their rate is twice the usual cut-off of 30 Hz
 _FORM = 100.0  # numerical: of σ² per noise column for a wrong form, at most: moments are of float32 columns
@@ -69,7 +70,7 @@ class NoiseModel:
     def __init__(self, fit: Fit, candidates: Sequence[Candidate], healthy: Healthy | None, law: EvidenceLaw):
         self.law, self.dof = law, len(fit.rows)
         signals = fit.signals
-        kept_time = np.concatenate([s.time[s.kept] for s in signals])
+        kept_time = joined(signals, "time")
         rate = 1 / float(np.median(np.diff(signals[0].time[signals[0].kept])))
         self._whitening, self._step = fit.whitening, max(1, round(ROW_SPACING * rate))
         thin = slice(None, None, self._step)
@@ -79,8 +80,8 @@ class NoiseModel:
         self.nominal_over_sigma = self.nominal / base
         self.weight = self._step / rate / law.error_correlation_time
         self.count = self.rows * self.weight
-        q, qd, qdd = (np.concatenate([getattr(s, x)[s.kept] for s in signals])[thin] for x in ("q", "qd", "qdd"))
-        self.log = log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])[thin]
+        q, qd, qdd = (joined(signals, name)[thin] for name in ("q", "qd", "qdd"))
+        self.log = log = log_of_rows(signals)[thin]
         self._logs = [slice(a, b) for a, b in pairwise(np.flatnonzero(np.diff(log, prepend=-1, append=-1)).tolist())]
         # what the only log of a baseline shows has no scatter, and its motion shows little of other effects
         unknown = healthy is None or (healthy and all(effect.mean is None for effect in healthy))

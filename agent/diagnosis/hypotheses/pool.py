@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.diagnosis.hypotheses.noise_model import NoiseModel
-from agent.diagnosis.rows.candidate import Candidate, EffectKey
+from agent.diagnosis.rows.candidate import Candidate, EffectKey, parameter_ends
 
 _AT_ONCE = 64  # numerical: candidates whose own moments are worked out together
 
@@ -126,7 +126,7 @@ class CandidatePool:
         (model_columns, noise_columns), without = self.noise.column_counts(joint), self.noise.moments[joint]
         keep = np.r_[0:model_columns, model_columns + noise_columns]
         of_noise = slice(model_columns, model_columns + noise_columns)
-        ends = model_columns + np.cumsum([0, *(len(self.candidate(k).names) for k in effects)])
+        ends = parameter_ends(model_columns, map(self.candidate, effects))
         size = int(ends[-1]) + 1
         square, cross = np.zeros((size, size)), np.zeros((noise_columns, size))
         index = np.r_[0:model_columns, size - 1]

@@ -30,7 +30,7 @@ from agent.diagnosis.hypotheses.joint_moments import JointMoments, NoiseRoot, re
 from agent.diagnosis.hypotheses.law import LAW, EvidenceLaw
 from agent.diagnosis.hypotheses.noise_model import Healthy, NoiseModel, scaled_cholesky
 from agent.diagnosis.hypotheses.pool import CandidatePool
-from agent.diagnosis.rows.candidate import Candidate, EffectKey
+from agent.diagnosis.rows.candidate import Candidate, EffectKey, parameter_ends
 from agent.diagnosis.rows.fit import Fit
 from agent.model import CATALOGUE
 
@@ -289,7 +289,7 @@ class Score:
     ) -> tuple[np.ndarray, np.ndarray, list[JointMoments], np.ndarray]:
         """Precision and side of δ and β over all joints, the joints, and where each effect's parameters end."""
         base = len(self.prior)
-        ends = base + np.cumsum([0, *(len(self.pool.candidate(k).names) for k in effects)])
+        ends = parameter_ends(base, map(self.pool.candidate, effects))
         precision, side = np.zeros((int(ends[-1]),) * 2), np.zeros(int(ends[-1]))
         precision[:base, :base], side[:base] = self.prior, self._prior_information
         joints = []

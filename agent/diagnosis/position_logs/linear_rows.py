@@ -32,6 +32,7 @@ from agent.diagnosis.position_logs.stretch import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, precision_of
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of, segments_of
+from agent.diagnosis.rows.joined import joined, log_of_rows
 from agent.diagnosis.rows.servos import ComparedSimulation, PositionLayout, ServoParameters, ServoPrior
 from agent.diagnosis.rows.standstill import StandstillWhitening
 from agent.model import IdentifiedModel, MotionSignals, NominalModel
@@ -52,8 +53,8 @@ def assemble_positions(
     reference = _fitted_reference(fit, simulator, bare, error)
     servos = _servo_parameters(fit, reference, model, known_kp, later)
     signals, rows = _rows(fit, reference, servos.fitted, error)
-    time = np.concatenate([s.time[s.kept] for s in signals])
-    log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
+    time = joined(signals, "time")
+    log = log_of_rows(signals)
     sigma = np.broadcast_to(error, (len(time), len(error))).copy()
     cell, folds, segment_folds = folds_of(time, log, logs)
     prior = precision_of(servos.prior.covariance), np.zeros(servos.layout.size)
@@ -61,7 +62,7 @@ def assemble_positions(
     block = segments_of(time, log, logs, LIMITS.segment_duration)
     rests = StandstillWhitening(tuple(() for _ in error))
     of_rows = Fit(reference, signals, rows, index, sigma, *prior, cell, block, folds, segment_folds, rests)
-    speed = np.concatenate([s.qd[s.kept] for s in signals])
+    speed = joined(signals, "qd")
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))
     as_given = _as_given(fit)

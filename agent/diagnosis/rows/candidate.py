@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -110,6 +110,11 @@ class Fold:
     name: str
     test: np.ndarray
     train: np.ndarray
+
+
+def parameter_ends(base: int, candidates: Iterable[Candidate]) -> np.ndarray:
+    """Where the parameters of each candidate begin and end, behind `base` others."""
+    return base + np.cumsum([0, *(len(candidate.names) for candidate in candidates)])
 
 
 def make_candidates(context: FitContext, wanted: Sequence[Wanted], rough: bool = False) -> list[Candidate]:

@@ -13,6 +13,7 @@ from agent.core import InputError, symmetric_eigen
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.rows.folds import folds_of, segments_of
+from agent.diagnosis.rows.joined import joined, log_of_rows
 from agent.diagnosis.rows.rounding import rounding_noise
 from agent.diagnosis.rows.servos import ServoParameters
 from agent.diagnosis.rows.standstill import noise_level
@@ -153,12 +154,12 @@ def assemble(
         for joint, (places, columns) in enumerate(per_joint):
             unexplained = segment.torque[:, joint] - columns @ carrier.model.values[places] - extra[:, joint]
             rows[joint].append(np.column_stack([columns, unexplained]))
-    speed = np.concatenate([s.qd[s.kept] for s in signals])
+    speed = joined(signals, "qd")
     sigma = noise_level(reference if friction is None else NominalModel(friction), background, signals)
-    joined = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
-    time = np.concatenate([s.time[s.kept] for s in signals])
-    log = np.concatenate([np.full(len(s.time[s.kept]), s.log_index) for s in signals])
-    residual = np.stack([block[:, -1] for block in joined], axis=1) * sigma
+    over_sigma = [np.concatenate(parts) / sigma[:, joint, None] for joint, parts in enumerate(rows)]
+    time = joined(signals, "time")
+    log = log_of_rows(signals)
+    residual = np.stack([block[:, -1] for block in over_sigma], axis=1) * sigma
     cell, folds, segment_folds = folds_of(time, log, logs)
     if has_reference and not refitted:
         precision, prior_information = precision_of(model.covariance), np.zeros(len(model.values))
@@ -166,7 +167,9 @@ def assemble(
         prior = physical_prior(observation, model.terms, _links(model))
         precision, prior_information = prior.precision, prior.precision @ (prior.mean - model.values)
     block = segments_of(time, log, logs, LIMITS.segment_duration)
-    fit = Fit(reference, signals, joined, index, sigma, precision, prior_information, cell, block, folds, segment_folds)
+    fit = Fit(
+        reference, signals, over_sigma, index, sigma, precision, prior_information, cell, block, folds, segment_folds
+    )
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(robot, model, has_reference, fit, residual, speed, time, log, tuple(logs), rate, cutoff)
 

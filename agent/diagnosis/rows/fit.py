@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates
+from agent.diagnosis.rows.candidate import Candidate, Fold, Wanted, make_candidates, parameter_ends
 from agent.diagnosis.rows.moments import FitMoments
 from agent.diagnosis.rows.standstill import StandstillWhitening, noise_level
 from agent.model import Effect, MotionSignals, NominalModel
@@ -33,7 +33,7 @@ class Fit:
     rows[j] (S', p_j + 1): columns of the model's parameters parameter_index[j] and the residual of joint j, over
     `sigma` (S', n); `cell_of_row` (S',), -1: guard; `segment_of_row` (S',) of the motion, the same in all of its
     cycles; `folds` for what repeats, `segment_folds` for what happens once. `whitening` is of the motions where none is
-    given.
+    given. `spans` are the parameters of each chosen effect, behind the model's.
     """
 
     def __init__(
@@ -70,20 +70,22 @@ class Fit:
         """Moments of the model's columns, those of the effects chosen already, and the residual."""
         self.chosen = tuple(chosen)
         base = len(self.precision)
-        ends = base + np.cumsum([0, *(len(c.names) for c in self.chosen)])
+        ends = parameter_ends(base, self.chosen)
+        self.spans = tuple(slice(a, b) for a, b in pairwise(ends.tolist()))
         self.size = size = int(ends[-1])
         keep = np.append(np.arange(base), size)
         self.gram = np.zeros((self.cells, size + 1, size + 1))
         self.gram[:, keep[:, None], keep] = self._moments.gram
         self.prior = np.zeros((size, size))
         self.prior[:base, :base] = self.precision
-        spans = [slice(a, b) for a, b in pairwise(ends)]
         moments = self._moments.of(self.chosen)
-        for number, (candidate, span, (cross, squares)) in enumerate(zip(self.chosen, spans, moments, strict=True)):
+        for number, (candidate, span, (cross, squares)) in enumerate(
+            zip(self.chosen, self.spans, moments, strict=True)
+        ):
             self.gram[:, keep, span] = cross
             self.gram[:, span, keep] = np.swapaxes(cross, 1, 2)
             self.gram[:, span, span] = squares
-            for other, other_span in zip(self.chosen[:number], spans[:number], strict=True):
+            for other, other_span in zip(self.chosen[:number], self.spans[:number], strict=True):
                 (between,) = self._moments.between(other, [candidate])
                 self.gram[:, other_span, span] = between
                 self.gram[:, span, other_span] = np.swapaxes(between, 1, 2)
@@ -238,14 +240,12 @@ class Fit:
 
     def remaining(self, parameters: np.ndarray) -> np.ndarray:
         """(S'total, n) [N·m] residual with parameters (size,) of model change and chosen effects."""
-        base = len(self.precision)
-        ends = base + np.cumsum([0, *(len(c.names) for c in self.chosen)])
         residual = np.empty((len(self.cell_of_row), len(self.rows)))
         for joint, (rows, index) in enumerate(zip(self.rows, self.parameter_index, strict=True)):
             column = rows[:, -1] - rows[:, :-1] @ parameters[index]
-            for candidate, (a, b) in zip(self.chosen, pairwise(ends), strict=True):
+            for candidate, span in zip(self.chosen, self.spans, strict=True):
                 if joint in candidate.blocks:
-                    column = column - candidate.blocks[joint] @ parameters[a:b]
+                    column = column - candidate.blocks[joint] @ parameters[span]
             residual[:, joint] = column * self.sigma[:, joint]
         return residual
 
@@ -266,12 +266,11 @@ class Fit:
         `without`: that one of the chosen effects is set to zero after the fit.
         """
         if without not in self._held_out:
-            ends = len(self.precision) + np.cumsum([0, *(len(c.names) for c in self.chosen)])
             result = np.full((len(self.cell_of_row), len(self.rows)), np.nan)
             for fold in self.test_folds:
                 parameters = self.solve(fold.train)[1].copy()
                 if without is not None:
-                    parameters[ends[without] : ends[without + 1]] = 0
+                    parameters[self.spans[without]] = 0
                 test = np.isin(self.cell_of_row, np.flatnonzero(fold.test))
                 result[test] = self.remaining(parameters)[test]
             result.flags.writeable = False
@@ -301,9 +300,8 @@ class Fit:
     def fitted(self, fold: Fold | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
         """Change of the model's parameters (p,) and parameters of each chosen effect (k,): of all rows, or a fold's."""
         train = np.ones(self.cells, dtype=bool) if fold is None else fold.train
-        change, effects = np.split(self.solve(train)[1], [len(self.precision)])
-        ends = np.cumsum([len(c.names) for c in self.chosen])
-        return change, np.split(effects, ends[:-1]) if len(ends) else []
+        parameters = self.solve(train)[1]
+        return parameters[: len(self.precision)], [parameters[span] for span in self.spans]
 
     def candidate(self, effect: Effect, joints: tuple[int, ...], settings: Mapping[str, float]) -> Candidate:
         """Columns of an effect, filtered as the torque is."""
@@ -346,11 +344,9 @@ class Fit:
         rows, whitened_twice = self.rows[joint], self.whitening.whitened(joint, block)  # as its transpose whitens alike
         cross = np.zeros((self.size, block.shape[1]))
         cross[self.parameter_index[joint]] = rows[:, :-1].T @ whitened_twice
-        first = len(self.precision)
-        for candidate in self.chosen:
+        for candidate, span in zip(self.chosen, self.spans, strict=True):
             if joint in candidate.blocks:
-                cross[first : first + len(candidate.names)] = candidate.blocks[joint].T @ whitened_twice
-            first += len(candidate.names)
+                cross[span] = candidate.blocks[joint].T @ whitened_twice
         side = (whitened_twice.T @ rows[:, -1] - cross.T @ without_it) / self.rows_per_independent
         energy = np.sum(block**2, axis=0) / self.rows_per_independent
         schur = energy - np.sum(cross * (inverse @ cross), axis=0) / self.rows_per_independent**2

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
+from agent.diagnosis.rows.joined import joined
 from agent.diagnosis.rows.servos import PositionLayout
 from agent.model import FileNumbers
 from agent.robot import ParameterLayout
@@ -54,12 +55,12 @@ def groups_of(dataset: Dataset) -> list[Group]:
     """
     model, reference = dataset.model, dataset.fit.reference
     layout, base = ParameterLayout.of(dataset.robot), len(model.independent)
-    torque = np.sqrt(np.mean(np.concatenate([s.predicted[s.kept] for s in dataset.fit.signals]) ** 2, axis=0))
+    torque = np.sqrt(np.mean(joined(dataset.fit.signals, "predicted") ** 2, axis=0))
     stiffness = 1.0 if dataset.servos is None else dataset.servos.file.kp
     torque = np.maximum(torque, stiffness * np.sqrt(np.mean(dataset.residual**2, axis=0)))
     speed = np.maximum(np.sqrt(np.mean(dataset.speed**2, axis=0)), 1e-9)
     scale = reference.prior_std.copy()
-    acceleration = np.concatenate([s.qdd[s.kept] for s in dataset.fit.signals])
+    acceleration = joined(dataset.fit.signals, "qdd")
     fast = np.maximum(np.sqrt(np.mean(acceleration**2, axis=0)), 1e-9)
     # a file's rotor may be wrong by any factor, and of a wrist's inertia it is nearly all
     scale[layout.rotors] = np.maximum(scale[layout.rotors], torque / fast / dataset.robot.gear_ratios**2)
