@@ -75,7 +75,12 @@ def import_files(
         RejectedError: the numbers contradict the `effort`; nothing is written.
     """
     check_effort(effort)
+    for path in inputs:
+        if not path.exists():
+            raise InputError(f"{path}: no such file")
     if mapping is None and not is_dataset(inputs[0]):
+        if inputs[0].is_dir():
+            raise InputError(f"{inputs[0]}: is no dataset of a known format; a LeRobot dataset has meta/info.json")
         raise InputError(MAP_OR_PRESET)
     if out.exists():
         raise InputError(f"{out}: exists already; name another log, or move it away")

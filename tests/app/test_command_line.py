@@ -264,6 +264,10 @@ def test_an_import_takes_a_map_or_a_preset(run_agent, tmp_path: Path):
         run = run_agent(*words, *wrong)
         assert run.returncode == 2
         assert "either --map MAP.yaml or --preset NAME" in run.stderr
+    for path, what in ((tmp_path / "absent.csv", "no such file"), (tmp_path, "meta/info.json")):
+        run = run_agent(*words[:3], path, tmp_path / "o.mcap")
+        assert run.returncode == 2
+        assert what in run.stderr
     run = run_agent(*words, "--preset", "ur-rtde")
     assert run.returncode == 0, run.stderr
     assert "200 samples, 0.398 s at 500 Hz" in run.stderr
