@@ -20,7 +20,7 @@ from agent.diagnosis.document import (
     Rejected,
     TorqueGap,
 )
-from agent.diagnosis.gap.adequacy import remainders
+from agent.diagnosis.gap.adequacy import Adequacy, remainders
 from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regime_shares import regimes, share_intervals
 from agent.diagnosis.gap.stuck_torque import StuckTorque
@@ -132,7 +132,8 @@ def build(
 
 def _with_figures(explanation: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with their part of the gap of the model as given, and whether their joints slide."""
-    figures = causes_of(explanation.dataset, explanation.selected, explanation.as_given) if explanation.of_file else ()
+    adequacy = Adequacy.of(explanation.selected, explanation.as_given)
+    figures = causes_of(explanation.dataset, explanation.selected, adequacy) if explanation.of_file else ()
     by_cause = {(cause.effect, cause.joints): cause for cause in figures}
     same = [by_cause.get((cause.effect, cause.joints), cause) for cause in causes]
     sliding = {joint.name for joint in explanation.dataset.robot.joints if joint.prismatic}
@@ -164,7 +165,7 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
                 "uncertainty: estimate it again with motions like these"
             )
         if _large_error(explanation):
-            error = gap.rmse_before / dataset.fit.sigma.min(axis=0)
+            error = dataset.fit.error_ratio(gap.rmse_before)
             yield (
                 f"the error of {names[int(error.argmax())]} is {error.max():.1f} times the model's own, which may "
                 "differ from day to day on a healthy arm: record more logs, or estimate the model again"
@@ -180,7 +181,7 @@ def _large_error(explanation: Explanation) -> bool:
     dataset, selected = explanation.dataset, explanation.selected
     if explanation.of_file or not dataset.has_reference or selected.causes or selected.leaves_gap:
         return False
-    error = explanation.as_given.rmse_before / dataset.fit.sigma.min(axis=0)
+    error = dataset.fit.error_ratio(explanation.as_given.rmse_before)
     return not dataset.open_joints.any() and bool(error.max() > LIMITS.usual_error)
 
 

@@ -22,7 +22,7 @@ from math import isfinite
 import numpy as np
 
 from agent.diagnosis.document import Cause, NamedEffect
-from agent.diagnosis.gap.adequacy import closed_alone, exceeds, explained_part, main_joint, shortfalls
+from agent.diagnosis.gap.adequacy import Adequacy
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
@@ -132,7 +132,7 @@ def name_causes(selected: SelectedCauses, errs: bool = False) -> SelectedCauses:
     cause whose equal by definition was ignored is not named alone: the likeliest other one is its rival. `errs`:
     whether a joint errs by more than a healthy arm does, whatever the noise model explains of it.
     """
-    exceeded = errs or selected.largest_error_ratio >= LIMITS.usual_error**2
+    exceeded = errs or selected.errs_beyond_usual
     if not exceeded and selected.healthy > 1 - LAW.confidence:
         return selected.without_causes(leaves_gap=False)
     sure = [k for k, probability in enumerate(selected.probability) if probability >= LAW.sure]
@@ -163,18 +163,19 @@ def keep_supported(
     dropped = bool(selected.causes)
     while True:
         gap = held_out_gap(dataset, selected.fit, unit)
+        adequacy = Adequacy.of(selected, gap)
         if not selected.causes:
-            leaves_gap = selected.leaves_gap or (dropped and exceeds(selected.fit, gap))
+            leaves_gap = selected.leaves_gap or (dropped and adequacy.exceeds())
             return replace(selected, leaves_gap=leaves_gap), gap
-        closed, closed_by_causes = gap.closure or 0.0, closed_alone(selected.fit, gap, len(selected.causes))
-        if not selected.rivals[0] and (closed < LIMITS.explained or closed_by_causes < LIMITS.majority * closed):
+        closed = gap.closure or 0.0
+        if not selected.rivals[0] and (closed < LIMITS.explained or adequacy.closed_alone < LIMITS.majority * closed):
             selected = selected.with_runner_up()
-        if (fewer := drop_replaceable(selected, gap)) is not None:
+        if (fewer := drop_replaceable(selected, adequacy)) is not None:
             selected = fewer
             continue
-        causes = causes_of(dataset, selected, gap)
-        lacking = shortfalls(selected.fit, gap, selected.causes, selected.irreplaceable)
-        explanation = _verdict_by(causes, explained_part(selected.fit, gap, len(causes)))
+        causes = causes_of(dataset, selected, adequacy)
+        lacking = adequacy.shortfalls(selected.irreplaceable)
+        explanation = _verdict_by(causes, adequacy.explained_part)
         named = () if explanation is None else explanation.causes
         if len(named) == len(causes) and not any(lacking):
             return selected, gap
@@ -186,7 +187,7 @@ def keep_supported(
         )
 
 
-def drop_replaceable(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCauses | None:
+def drop_replaceable(selected: SelectedCauses, adequacy: Adequacy) -> SelectedCauses | None:
     """Return the causes without the one that the model and the others replace best; None if all are needed.
 
     These are fitted again without it, in the forms that they have then. What they do not close then has to be a tenth
@@ -197,45 +198,44 @@ def drop_replaceable(selected: SelectedCauses, gap: HeldOutGap) -> SelectedCause
     for number in range(count):
         others = selected.keeping([k for k in range(count) if k != number])
         remaining = others.fit.held_out()
-        shares = gap.closure_without(remaining), _closure_on_own(selected, gap, number, remaining)
+        shares = adequacy.gap.closure_without(remaining), _closure_on_own(adequacy, number, remaining)
         losses.append((max(share or 0.0 for share in shares), number, others))
     share, _, others = min(losses)
     return others if share < LIMITS.least_share else None
 
 
-def causes_of(dataset: Dataset, selected: SelectedCauses, gap: HeldOutGap) -> tuple[Cause, ...]:
+def causes_of(dataset: Dataset, selected: SelectedCauses, adequacy: Adequacy) -> tuple[Cause, ...]:
     """Return the causes of a finding with their figures."""
     fit, joints = selected.fit, dataset.robot.joint_names
-    taken_out = [fit.held_out(without=number) for number in range(len(selected.causes))]
-    parts = zip(selected.causes, taken_out, fit.values, selected.rivals, selected.probability, strict=True)
+    parts = zip(selected.causes, adequacy.taken_out, fit.values, selected.rivals, selected.probability, strict=True)
     return tuple(
         Cause(
             candidate.effect.name,
             tuple(joints[j] for j in candidate.joints),
-            gap.closure_without(without),
+            adequacy.gap.closure_without(without),
             probability,
             candidate.effect.reported(
                 fit.reference, _floats(candidate.settings.items()), _floats(zip(candidate.names, values, strict=True))
             ),
             tuple(NamedEffect(name, tuple(joints[j] for j in there)) for name, there in rivals),
-            _closure_on_own(selected, gap, number, without),
+            _closure_on_own(adequacy, number, without),
         )
         for number, (candidate, without, values, rivals, probability) in enumerate(parts)
     )
 
 
-def _closure_on_own(selected: SelectedCauses, gap: HeldOutGap, number: int, without: np.ndarray) -> float | None:
+def _closure_on_own(adequacy: Adequacy, number: int, without: np.ndarray) -> float | None:
     """Part of the gap that the cause `number` alone closes, on its joints without those of larger causes.
 
     `without` (S', n) [N·m] is the residual of the fit without it. For an effect of the whole arm only its main joint
     counts, as most of the arm's gap may be the model's own error. None if larger causes have all of its joints.
     """
-    cause, larger = selected.causes[number], selected.causes[:number]
+    cause, larger = adequacy.causes[number], adequacy.causes[:number]
     taken = {joint for other in larger for joint in other.joints or (() if cause.joints else other.blocks)}
     joints = [joint for joint in cause.joints or cause.blocks if joint not in taken]
     if joints and not cause.joints:
-        joints = [main_joint(selected.fit, gap, joints, without)]
-    return gap.closure_on(joints, without) if joints else None
+        joints = [adequacy.main_joint(joints, without)]
+    return adequacy.gap.closure_on(joints, without) if joints else None
 
 
 def _floats(pairs: Iterable[tuple[str, float]]) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from agent.core import InputError, keep_freed_memory, on_one_blas_thread
 from agent.data_quality import spoiled
 from agent.diagnosis.diagnosis import Diagnosis, build
-from agent.diagnosis.gap.adequacy import errs_beyond_chance, explained_part
+from agent.diagnosis.gap.adequacy import Adequacy, errs_beyond_chance
 from agent.diagnosis.gap.drives_off import ChannelZero, channel_zero, zero_likelihood, zero_remarks
 from agent.diagnosis.gap.motion_gap import MotionGap, motion_gap
 from agent.diagnosis.gap.stuck_torque import StuckTorque, stuck_torque
@@ -114,14 +114,16 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
     if dataset.servos is not None:
         return verdict_on_positions(explanation)
     gap = explanation.gap if explanation.of_file else as_given
-    causes = causes_of(dataset, selected, gap)
+    adequacy = Adequacy.of(selected, gap)
+    causes = causes_of(dataset, selected, adequacy)
     numbers = causes_of_numbers(explanation.released, selected, as_given)
     of_path = [name for name in effects_of_path() if name in explanation.search.allowed]
     path = None if motion is None else motion.causes(of_path)
     judged = not np.any(dataset.open_joints & dataset.fit.beyond_usual(gap.rmse_before))
-    closure = explained_part(selected.fit, gap, len(causes))
-    verdict = decide_verdict(selected, causes, closure, path, numbers, as_given.closure or 0.0, judged)
-    return with_numbers(verdict, causes_of(dataset, selected, as_given), numbers) if explanation.of_file else verdict
+    verdict = decide_verdict(selected, causes, adequacy.explained_part, path, numbers, as_given.closure or 0.0, judged)
+    if not explanation.of_file:
+        return verdict
+    return with_numbers(verdict, causes_of(dataset, selected, Adequacy.of(selected, as_given)), numbers)
 
 
 def check_effects(names: Sequence[str]) -> None:

@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from agent.diagnosis.gap.adequacy import (
-    LARGEST_ERROR,
-    closed_alone,
-    exceeds,
-    explained_part,
-    remainder_sizes,
-    remainders,
-    shortfalls,
-)
+from agent.diagnosis.gap.adequacy import LARGEST_ERROR, Adequacy, remainders
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.selected_causes import Hypothesis, SelectedCauses
@@ -55,7 +47,7 @@ def reasons(
         reference=SimpleNamespace(robot=SimpleNamespace(joint_names=JOINTS)),
     )
     gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
-    return shortfalls(fit, gap, causes, lambda number: irreplaceable)
+    return Adequacy(fit, gap, causes).shortfalls(lambda number: irreplaceable)
 
 
 @given(st.floats(2, 50), st.floats(0.1, 1.3))
@@ -80,7 +72,7 @@ def test_what_the_model_closes_by_itself_is_no_merit_of_the_cause(size, ratio):
     fit = SimpleNamespace(
         transient=False, keeps_parameters=True, held_out=lambda without=None: left if without is None else left + torque
     )
-    assert closed_alone(fit, gap, 1) == pytest.approx(1 / (1 + ratio**2), abs=0.1)
+    assert Adequacy(fit, gap, [None]).closed_alone == pytest.approx(1 / (1 + ratio**2), abs=0.1)
 
 
 @given(size=st.floats(3, 30), worse=st.floats(1.5, 10))
@@ -93,8 +85,9 @@ def test_a_change_of_the_model_that_does_harm_elsewhere_takes_nothing_from_a_cau
     fit = SimpleNamespace(
         transient=False, keeps_parameters=True, held_out=lambda without=None: left if without is None else left + torque
     )
-    assert explained_part(fit, gap, 1) == max(gap.closure, closed_alone(fit, gap, 1))
-    assert explained_part(fit, gap, 1) > 0 > gap.closure
+    adequacy = Adequacy(fit, gap, [None])
+    assert adequacy.explained_part == max(gap.closure, adequacy.closed_alone)
+    assert adequacy.explained_part > 0 > gap.closure
 
 
 @given(st.floats(2, 20), st.floats(0, 50))
@@ -110,8 +103,9 @@ def test_a_joint_errs_by_more_than_the_model_as_given_and_with_its_parameters_mo
     raw, left = (rows / rms(rows) * [size, 1.0] for rows, size in ((raw, before), (left, after)))
     fit = SimpleNamespace(near_rest=np.zeros(left.shape, dtype=bool), sigma=np.ones(left.shape))
     gap = HeldOutGap(raw, left, np.zeros(left.shape), np.ones(2), rms(raw), rms(left), None)
-    assert exceeds(fit, gap) is expected
-    assert not exceeds(SimpleNamespace(**{**vars(fit), "near_rest": ~fit.near_rest}), gap), "nothing moves"
+    assert Adequacy(fit, gap).exceeds() is expected
+    still = SimpleNamespace(**{**vars(fit), "near_rest": ~fit.near_rest})
+    assert not Adequacy(still, gap).exceeds(), "nothing moves"
 
 
 def test_a_remainder_does_not_count_for_a_cause_that_nothing_smooth_could_replace():
@@ -165,13 +159,14 @@ def test_on_an_arm_the_right_cause_passes_and_a_relative_of_it_does_not(case):
         fits = [case.fit.with_chosen([form]) for form in forms]
         best = min(fits, key=lambda fit: fit.error)
         gap = held_out_gap(case, best)
-        found[name] = shortfalls(best, gap, best.chosen, lambda number: False)[0], list(remainders(case, gap))
+        (why,) = Adequacy(best, gap, best.chosen).shortfalls(lambda number: False)
+        found[name] = why, list(remainders(case, gap))
     assert found["load_dependent_friction"] == ("", [])
     why, (left,) = found["friction_change"]
     assert why
     assert (left.joint, left.size > 1) == ("joint_3", True)
     assert max(left.follows.values()) <= 1
-    assert remainder_sizes(case.fit, held_out_gap(case, case.fit))[2] > left.size
+    assert Adequacy(case.fit, held_out_gap(case, case.fit)).remainder_sizes[2] > left.size
 
 
 def best_form(dataset, effect: str, *others):
@@ -189,9 +184,9 @@ def test_a_cause_that_the_others_replace_in_another_form_is_not_needed(case):
     both = SelectedCauses(
         case.fit, case.fit.with_chosen((poor, level)), (poor, level), ((), ()), (0.9, 0.9), 1.0, (pair, alone), None
     )
-    fewer = drop_replaceable(both, held_out_gap(case, both.fit))
+    fewer = drop_replaceable(both, Adequacy.of(both, held_out_gap(case, both.fit)))
     assert fewer.causes == (right,)
-    assert drop_replaceable(fewer, held_out_gap(case, fewer.fit)) is None
+    assert drop_replaceable(fewer, Adequacy.of(fewer, held_out_gap(case, fewer.fit))) is None
 
 
 @pytest.mark.parametrize(
@@ -238,4 +233,4 @@ def test_a_right_cause_is_kept_where_the_motion_held_out_goes_further_than_the_f
     fit = dataset.fit.with_chosen([form])
     gap = held_out_gap(dataset, fit)
     assert gap.after[1] * gap.unit[1] > 4 * fit.sigma.min(axis=0)[1]
-    assert shortfalls(fit, gap, [form], lambda number: False) == [""]
+    assert Adequacy(fit, gap, [form]).shortfalls(lambda number: False) == [""]

@@ -133,25 +133,29 @@ def test_a_cause_is_told_with_what_it_closes_where_it_is_and_what_its_effect_rep
         for name, joints, more, own in (("stribeck", (2, 0), {"speed": 1}, names[0]), ("payload", (), {}, names[1]))
     )
     fit = SimpleNamespace(reference=7, values=[np.array([3.0]), np.array([4.0, 5.0])])
-    fit.held_out = lambda without: 10 * without + 1
     gap = SimpleNamespace(closure_without=lambda left: 0.5 + left, closure_on=lambda joints, left: (joints, left))
     dataset = SimpleNamespace(robot=SimpleNamespace(joint_names=("a", "b", "c")))
     rivals = ((("payload", ()), ("dress_pack", (1, 2))), ())
     selected = SimpleNamespace(fit=fit, causes=(stribeck, load), rivals=rivals, probability=(0.8, 0.7))
     equal = NamedEffect("payload", ()), NamedEffect("dress_pack", ("b", "c"))
-    with patch.object(rules, "main_joint", lambda fit, gap, joints, left: list(joints)[-1]):
-        told = causes_of(dataset, selected, gap)  # type: ignore[arg-type]
-        for causes, own in (
-            ((load, stribeck), [[2], [2, 0]]),
-            ((load, load), [[2], None]),
-            ((stribeck, stribeck), [[2, 0], None]),
-        ):
-            values = [np.ones(len(cause.names)) for cause in causes]
-            again = SimpleNamespace(
-                **{**vars(selected), "causes": causes, "fit": SimpleNamespace(**{**vars(fit), "values": values})}
-            )
-            parts = [cause.closure_of_joints for cause in causes_of(dataset, again, gap)]  # type: ignore[arg-type]
-            assert [part and part[0] for part in parts] == own  # type: ignore[index]
+
+    def told_of(selected):
+        adequacy = SimpleNamespace(gap=gap, causes=selected.causes, taken_out=[1, 11])
+        adequacy.main_joint = lambda joints, left: list(joints)[-1]
+        return causes_of(dataset, selected, adequacy)  # type: ignore[arg-type]
+
+    told = told_of(selected)
+    for causes, own in (
+        ((load, stribeck), [[2], [2, 0]]),
+        ((load, load), [[2], None]),
+        ((stribeck, stribeck), [[2, 0], None]),
+    ):
+        values = [np.ones(len(cause.names)) for cause in causes]
+        again = SimpleNamespace(
+            **{**vars(selected), "causes": causes, "fit": SimpleNamespace(**{**vars(fit), "values": values})}
+        )
+        parts = [cause.closure_of_joints for cause in told_of(again)]
+        assert [part and part[0] for part in parts] == own  # type: ignore[index]
     assert told == (
         Cause("stribeck", ("c", "a"), 1.5, 0.8, {"of": 7, "speed": 1.0, "rise": 3.0}, equal, ([2, 0], 1)),  # type: ignore[arg-type]
         Cause("payload", (), 11.5, 0.7, {"of": 7, "mass": 4.0, "moment_x": 5.0}, (), ([1], 11)),  # type: ignore[arg-type]
@@ -198,19 +202,18 @@ def judged_by(selected, gap_of, told, failing=(), own=1.0, large=False):
         return gaps[-1]
 
     def told_of(*seen):
-        assert seen == (dataset, seen[1], gaps[-1])
-        return told(*seen)
+        assert seen[0] is dataset
+        assert seen[2].gap is gaps[-1]
+        return told(dataset, seen[1], gaps[-1])
 
-    def lacking(fit, gap, chosen, irreplaceable):
+    def adequacy(selected, gap):
         assert gap is gaps[-1]
-        return ["it leaves too much" if set(failing) & set(cause.key[1]) else "" for cause in chosen]
+        lacking = ["it leaves too much" if set(failing) & set(cause.key[1]) else "" for cause in selected.causes]
+        of_causes = {"closed_alone": own * (gap.closure or 0.0), "explained_part": gap.closure}
+        return SimpleNamespace(gap=gap, exceeds=lambda: large, shortfalls=lambda irreplaceable: lacking, **of_causes)
 
-    def alone(fit, gap, count):
-        return own * (gap.closure or 0.0)
-
-    patches = {"held_out_gap": made, "causes_of": told_of, "shortfalls": lacking, "closed_alone": alone}
-    patches |= {"drop_replaceable": lambda *_: None, "exceeds": lambda *_: large}
-    patches |= {"explained_part": lambda fit, gap, count: gap.closure}
+    patches = {"held_out_gap": made, "causes_of": told_of, "Adequacy": SimpleNamespace(of=adequacy)}
+    patches |= {"drop_replaceable": lambda *_: None}
     with patch.multiple(rules, **patches):
         judged, gap = keep_supported(dataset, selected, unit)  # type: ignore[arg-type]
     assert gap is gaps[-1]

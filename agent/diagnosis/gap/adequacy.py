@@ -3,18 +3,26 @@
 Log evidence compares effects of the catalogue with each other. It cannot tell that all of them are wrong. Held-out
 errors can, whatever the effect (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
 
-Whether a joint errs by more than a healthy one is asked in three ways, of its held-out error over the noise level σ:
+Whether a joint errs by more than a healthy one is asked of its error over the noise level σ:
 
-| question | limit | who asks |
+| question | limit | asked for |
 | --- | --- | --- |
-| more than usual | 2 σ, `Fit.beyond_usual` | whether there is a gap, and which joints a cause needs |
-| no chance | 3 σ, `Fit.beyond_chance` and `errs_beyond_chance` | whether a gap that nobody explains is said |
-| more than causes may leave | `remainder_sizes` over 1 | whether the causes explain what they claim |
+| more than usual, in all rows | `Fit.beyond_usual`, 2 σ | the joints of a gap, of a cause or of a number |
+| in motion, as given and refitted | `Adequacy.exceeds`, 2 σ | a gap without causes |
+| in the rows of the search | `SelectedCauses.errs_beyond_usual`, 4 σ² | whether an arm may be healthy |
+| no chance, with friction of another day | `errs_beyond_chance`, 3 σ | a gap that no effect explains |
+| no chance, of positions | `Fit.beyond_chance`, 3 σ | the same |
+| more than causes may leave | `Adequacy.remainder_sizes`, 1 | whether they explain what they claim |
+
+They differ in what else errs. A joint is named with its rests, where its weight shows. A gap is said in motion only,
+and if the model errs as given and refitted: stiction and few motions err by more. The search has no held-out error yet.
+A gap without an effect is the likeliest false alarm, so it may be no chance. Causes err by their formulas too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtri
@@ -36,20 +44,109 @@ from agent.diagnosis.rows.joined import joined
 LARGEST_ERROR = float(np.sqrt(LAW.nu / chdtri(LAW.nu, 1 - LAW.unlikely)))
 
 
-def remainder_sizes(fit: Fit, gap: HeldOutGap) -> np.ndarray:
-    """(n,) error that causes leave while the joint moves, over what a healthy arm leaves.
+class Adequacy:
+    """What the causes that a fit has chosen explain of held-out motion, and what they leave.
 
-    That is the model's own error, what the formula of a certain cause misses (5 % of the squared error), and what the
-    uncertainty of the fitted parameters makes of the motion that is held out. 1 is the limit.
+    Parameters
+    ----------
+    fit : Fit
+        With the causes as its chosen effects.
+    gap : HeldOutGap
+        That of `fit`.
+    causes : sequence of Candidate, optional
+        None where the model alone is judged.
     """
-    before, after = _while_moving(fit, gap)
-    limit = (LARGEST_ERROR * fit.sigma.min(axis=0)) ** 2 + _prediction_variance(fit, _moving(fit, gap))
-    return np.asarray(after / np.sqrt(limit + LIMITS.negligible * before**2))
 
+    def __init__(self, fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate] = ()):
+        self.fit, self.gap, self.causes = fit, gap, causes
 
-def exceeds(fit: Fit, gap: HeldOutGap, times: float = LIMITS.usual_error) -> bool:
-    """Return whether a joint errs by as many `times` a model's own error, as given and also if its parameters move."""
-    return bool((np.minimum(*_while_moving(fit, gap)) >= times * fit.sigma.min(axis=0)).any())
+    @classmethod
+    def of(cls, selected: SelectedCauses, gap: HeldOutGap) -> Adequacy:
+        """That of selected causes, by the gap that their fit leaves, or that of a file as it was given."""
+        return cls(selected.fit, gap, selected.causes)
+
+    @cached_property
+    def taken_out(self) -> list[np.ndarray]:
+        """Per cause the error (S', n) [N·m] without it."""
+        return [self.fit.held_out(without=number) for number in range(len(self.causes))]
+
+    @cached_property
+    def closed_alone(self) -> float:
+        """Part of the gap that the causes close, without the change of the model's parameters.
+
+        A model that was fitted to the same logs trades with them freely, and its part is not separated.
+        """
+        if not self.fit.keeps_parameters:
+            return self.gap.closure or 0.0
+        error = self.fit.held_out()
+        return self.gap.closure_without(error + sum(rows - error for rows in self.taken_out)) or 0.0
+
+    @cached_property
+    def explained_part(self) -> float | None:
+        """Part of the gap that the causes explain; None where there is nothing to close.
+
+        The model's parameters change with them. Where that is worse for motion held out, on joints that no cause has,
+        what the causes close alone counts.
+        """
+        return None if self.gap.closure is None else max(self.gap.closure, self.closed_alone)
+
+    @cached_property
+    def errors_while_moving(self) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) errors [N·m] before and after the causes while the joint moves; zero where it never does."""
+        count = np.maximum(self._moving.sum(axis=0), 1)
+        before, after = (
+            np.sqrt(np.sum(np.where(self._moving, error, 0.0) ** 2, axis=0) / count)
+            for error in (self.gap.error_before, self.gap.error_after)
+        )
+        return before, after
+
+    @cached_property
+    def _moving(self) -> np.ndarray:
+        """(S', n) bool: rows that count."""
+        return ~self.fit.near_rest & ~np.isnan(self.gap.error_after)
+
+    @cached_property
+    def remainder_sizes(self) -> np.ndarray:
+        """(n,) error that causes leave while the joint moves, over what a healthy arm leaves.
+
+        That is the model's own error, what the formula of a certain cause misses (5 % of the squared error), and what
+        the uncertainty of the fitted parameters makes of the motion that is held out. 1 is the limit.
+        """
+        before, after = self.errors_while_moving
+        limit = (LARGEST_ERROR * self.fit.sigma.min(axis=0)) ** 2 + _prediction_variance(self.fit, self._moving)
+        return np.asarray(after / np.sqrt(limit + LIMITS.negligible * before**2))
+
+    def exceeds(self, times: float = LIMITS.usual_error) -> bool:
+        """Whether a joint errs by as many `times` a model's own error, as given and also if its parameters move."""
+        return bool((np.minimum(*self.errors_while_moving) >= times * self.fit.sigma.min(axis=0)).any())
+
+    def shortfalls(self, irreplaceable: Callable[[int], bool]) -> list[str]:
+        """Per cause why it does not explain what it claims; empty where it does.
+
+        Of a model that was fitted to the same logs only their remainder counts. It does not count for a cause, by
+        number, that is `irreplaceable`: the formula of a play or of an elastic gear misses more than 5 %, but nothing
+        smooth could replace it.
+        """
+        if not self.causes or self.gap.closure is None:
+            return [""] * len(self.causes)
+        trades, reasons = self.fit.keeps_parameters and len(self.causes) > 1, []
+        for number, (candidate, rows) in enumerate(zip(self.causes, self.taken_out, strict=True)):
+            joint = self.main_joint(candidate.joints or candidate.blocks, rows)
+            # more than all of them together
+            if trades and (self.gap.closure_without(rows) or 0.0) > self.closed_alone / LIMITS.explained:
+                reasons.append("it and another cause cancel each other")
+            elif self.remainder_sizes[joint] > 1 and not irreplaceable(number):
+                name = self.fit.reference.robot.joint_names[joint]
+                times = f"{self.remainder_sizes[joint]:.1f} times"
+                reasons.append(f"it leaves {times} what a healthy arm may leave on {name}")
+            else:
+                reasons.append("")
+        return reasons
+
+    def main_joint(self, joints: Iterable[int], taken_out: np.ndarray) -> int:
+        """The one of some joints on which a cause explains most; `taken_out` (S', n) [N·m] is the error without it."""
+        change, indices = rms(self.gap.beyond(taken_out)) ** 2 - rms(self.gap.error_after) ** 2, list(joints)
+        return indices[int(np.argmax(change[indices] / self.fit.sigma.min(axis=0)[indices] ** 2))]
 
 
 def errs_beyond_chance(dataset: Dataset, searched: SelectedCauses) -> bool:
@@ -60,22 +157,7 @@ def errs_beyond_chance(dataset: Dataset, searched: SelectedCauses) -> bool:
     if not dataset.has_reference or len(dataset.model.provenance.get("logs", ())) < 2:
         return False
     another_day = dataset.fit.with_prior(searched.evidence.prior)
-    return exceeds(another_day, held_out_gap(dataset, another_day), LIMITS.significant_deviations)
-
-
-def _while_moving(fit: Fit, gap: HeldOutGap) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) errors [N·m] before and after the causes while the joint moves; zero where it never does."""
-    moving = _moving(fit, gap)
-    count = np.maximum(moving.sum(axis=0), 1)
-    before, after = (
-        np.sqrt(np.sum(np.where(moving, e, 0.0) ** 2, axis=0) / count) for e in (gap.error_before, gap.error_after)
-    )
-    return before, after
-
-
-def _moving(fit: Fit, gap: HeldOutGap) -> np.ndarray:
-    """(S', n) bool: rows that count."""
-    return ~fit.near_rest & ~np.isnan(gap.error_after)
+    return Adequacy(another_day, held_out_gap(dataset, another_day)).exceeds(LIMITS.significant_deviations)
 
 
 def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
@@ -103,63 +185,9 @@ def _prediction_variance(fit: Fit, moving: np.ndarray) -> np.ndarray:
     return variances
 
 
-def shortfalls(
-    fit: Fit, gap: HeldOutGap, causes: Sequence[Candidate], irreplaceable: Callable[[int], bool]
-) -> list[str]:
-    """Return per cause why it does not explain what it claims; empty where it does.
-
-    `gap` is that of `fit`, whose chosen effects are the `causes`. Of a model that was fitted to the same logs only
-    their remainder counts. It does not count for a cause, by number, that is `irreplaceable`: the formula of a play or
-    of an elastic gear misses more than 5 %, but nothing smooth could replace it.
-    """
-    if not causes or gap.closure is None:
-        return [""] * len(causes)
-    taken_out = [fit.held_out(without=number) for number in range(len(causes))]
-    closed, sizes = closed_alone(fit, gap, len(causes)), remainder_sizes(fit, gap)
-    reasons = []
-    for number, (candidate, rows) in enumerate(zip(causes, taken_out, strict=True)):
-        joint = main_joint(fit, gap, candidate.joints or candidate.blocks, rows)
-        trades = fit.keeps_parameters and len(causes) > 1
-        if trades and (gap.closure_without(rows) or 0.0) > closed / LIMITS.explained:  # than all of them together
-            reasons.append("it and another cause cancel each other")
-        elif sizes[joint] > 1 and not irreplaceable(number):
-            name = fit.reference.robot.joint_names[joint]
-            reasons.append(f"it leaves {sizes[joint]:.1f} times what a healthy arm may leave on {name}")
-        else:
-            reasons.append("")
-    return reasons
-
-
-def closed_alone(fit: Fit, gap: HeldOutGap, count: int) -> float:
-    """Part of the gap that the `count` chosen effects of a fit close, without the change of the model's parameters.
-
-    A model that was fitted to the same logs trades with them freely, and its part is not separated.
-    """
-    if not fit.keeps_parameters:
-        return gap.closure or 0.0
-    error = fit.held_out()
-    without = error + sum(fit.held_out(without=number) - error for number in range(count))
-    return gap.closure_without(without) or 0.0
-
-
-def explained_part(fit: Fit, gap: HeldOutGap, count: int) -> float | None:
-    """Part of the gap that the `count` chosen effects of a fit explain; None where there is nothing to close.
-
-    The model's parameters change with them. Where that is worse for motion held out, on joints that no cause has, what
-    the causes close alone counts.
-    """
-    return None if gap.closure is None else max(gap.closure, closed_alone(fit, gap, count))
-
-
-def main_joint(fit: Fit, gap: HeldOutGap, joints: Iterable[int], taken_out: np.ndarray) -> int:
-    """The one of some joints on which a cause explains most; `taken_out` (S', n) [N·m] is the error without it."""
-    change, indices = rms(gap.beyond(taken_out)) ** 2 - rms(gap.error_after) ** 2, list(joints)
-    return indices[int(np.argmax(change[indices] / fit.sigma.min(axis=0)[indices] ** 2))]
-
-
 def remainders(dataset: Dataset, gap: HeldOutGap) -> Iterator[Remainder]:
     """What causes leave on the joints where it is more than a healthy arm leaves, largest first."""
-    sizes = remainder_sizes(dataset.fit, gap)
+    sizes = Adequacy(dataset.fit, gap).remainder_sizes
     for joint in np.argsort(-sizes, kind="stable").tolist():
         if sizes[joint] > 1:
             shares = regimes(dataset, gap.error_after[:, joint], joint)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from agent.diagnosis.hypotheses.evidence import Evidence
+from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate, EffectKey
 from agent.diagnosis.rows.fit import Fit
 
@@ -74,6 +75,11 @@ class SelectedCauses:
     def largest_error_ratio(self) -> float:
         """Largest squared error of a joint without effects, over its noise variance."""
         return next(h for h in self.hypotheses if not h.effects and not h.uncatalogued_joints).largest_error_ratio
+
+    @property
+    def errs_beyond_usual(self) -> bool:
+        """Whether a joint errs without effects by twice what a model usually does, in the scales of the evidence."""
+        return self.largest_error_ratio >= LIMITS.usual_error**2
 
     def irreplaceable(self, number: int) -> bool:
         """Whether a cause in the gear of one joint, by number, is needed next to anything smooth there."""

@@ -142,6 +142,10 @@ class Fit:
         """(n,) [N·m, or rad or m] largest error in motion that is the model's own, or that of a right file."""
         return np.asarray(LIMITS.usual_error * self.sigma.min(axis=0))
 
+    def error_ratio(self, error: np.ndarray) -> np.ndarray:
+        """(n,) an error (n,) [N·m] over the model's own in motion."""
+        return np.asarray(error / self.sigma.min(axis=0))
+
     def beyond_usual(self, error: np.ndarray) -> np.ndarray:
         """(n,) bool: where an error (n,) [N·m] is more than a healthy arm's usual one."""
         return np.asarray(error >= self.usual_error)

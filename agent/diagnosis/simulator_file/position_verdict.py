@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from agent.diagnosis.document import Cause, NamedEffect
-from agent.diagnosis.gap.adequacy import remainders
+from agent.diagnosis.gap.adequacy import Adequacy, remainders
 from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.simulator_file.explanation import Explanation
@@ -29,7 +29,7 @@ def verdict_on_positions(explanation: Explanation) -> Verdict:
     names, released = dataset.robot.joint_names, explanation.released
     with_remainder = {names.index(part.joint) for part in remainders(dataset, explanation.gap)}
     numbers = causes_of_numbers(released, selected, gap, doubtful_gains(explanation), with_remainder)
-    sizes = causes_of(dataset, selected, gap), causes_of(dataset, selected, explanation.gap)
+    sizes = (causes_of(dataset, selected, Adequacy.of(selected, of)) for of in (gap, explanation.gap))
     effects = [as_given for as_given, beyond_numbers in zip(*sizes, strict=True) if has_size(beyond_numbers)]
     errs = selected.fit.beyond_usual(gap.rmse_before)
     where_it_errs = [
