@@ -322,3 +322,14 @@ def test_an_exactly_stationary_joint_gives_finite_columns(arm, model, healthy):
         ]
         found = fit.candidates(wanted[-40:])
         assert all(np.isfinite(block).all() for one in found for block in one.blocks.values()), effect.name
+
+
+@pytest.mark.parametrize("offset", [0.15, -0.6])
+def test_a_zero_that_is_far_off_is_no_spring_and_no_load(arm, model, offset):
+    """Gravity bends over such an offset, so its torque is no multiple of the slope at zero."""
+    effect = {"effect": "encoder_offset", "joints": ["joint_2"], "parameters": {"offset": offset}}
+    plant = Plant(arm, seed=3, effects=[effect])
+    found = diagnose(arm, [record(plant, name, seed) for name, seed in (("one", 21), ("two", 22))], model).document
+    (cause,) = found.causes
+    assert (found.verdict, cause.effect, cause.joints) == ("explained", "encoder_offset", ("joint_2",))
+    assert cause.parameters["offset"] == pytest.approx(offset, rel=0.02)
