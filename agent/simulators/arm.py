@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
@@ -47,7 +48,8 @@ class SimulatedArm:
     `file_joints` are the joints' names in the file. `carrying` (n,): which body takes a change of each link. `servos`:
     those of the file's joints, or why it has none. `step` [s] and `integrator` are those of the file's physics.
     `excluded`: pairs of bodies that collide in the file and are to pass through each other. `solver` (n,): how MuJoCo
-    solves friction and limits of a joint, as attributes of an MJCF, where that is not its usual way.
+    solves friction and limits of a joint, as attributes of an MJCF, where that is not its usual way. `model`: the
+    compiled MJCF (MjModel) without these pairs, as compiling takes a second.
     """
 
     path: Path
@@ -66,6 +68,7 @@ class SimulatedArm:
     integrator: str | None = None
     excluded: tuple[tuple[str, str], ...] = ()
     solver: tuple[Mapping[str, str], ...] = ()
+    model: Any = field(default=None, repr=False)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

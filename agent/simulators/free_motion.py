@@ -156,7 +156,7 @@ class FreeSimulator:
 
         self._mujoco = mujoco = mujoco_package()
         self._rollout = Rollout(nthread=0).rollout
-        self.model = model = compiled(arm.path, arm.excluded)
+        self.model = model = copy(arm.model)
         self._at = np.array([int(model.joint(name).qposadr[0]) for name in arm.file_joints])
         self._dof = np.array([int(model.joint(name).dofadr[0]) for name in arm.file_joints])
         self._joints = [int(model.joint(name).id) for name in arm.file_joints]
@@ -173,20 +173,27 @@ class FreeSimulator:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
 
     def colliding(self, positions: np.ndarray) -> tuple[tuple[str, str], ...]:
-        """Names of pairs of bodies that reach into each other where the joints are at `positions` (S, n)."""
+        """Names of pairs of bodies that touch where the joints are at `positions` (S, n)."""
         mujoco, model = self._mujoco, self.model
         data, pairs = mujoco.MjData(model), set()
         for q in positions:
             data.qpos[self._at] = q
             mujoco.mj_fwdPosition(model, data)
             contact = data.contact
-            for geoms in contact.geom[contact.dist < 0]:
+            for geoms in contact.geom[contact.dist < contact.includemargin]:
                 pairs.add(tuple(sorted(model.body(int(model.geom_bodyid[geom])).name for geom in geoms)))
         return tuple(sorted(pair for pair in pairs if all(pair)))
 
     def excluding(self, pairs: tuple[tuple[str, str], ...]) -> FreeSimulator:
         """The same arm, with pairs of bodies that pass through each other."""
-        return FreeSimulator(replace(self.arm, excluded=(*self.arm.excluded, *pairs)))
+        excluded = (*self.arm.excluded, *pairs)
+        return FreeSimulator(replace(self.arm, excluded=excluded, model=compiled(self.arm.path, excluded)))
+
+    def without_contacts(self, pairs: tuple[tuple[str, str], ...] = ()) -> FreeSimulator:
+        """The same where only these `pairs` would touch, so that contacts need not be looked for."""
+        model = copy(self.arm.model)
+        model.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        return FreeSimulator(replace(self.arm, excluded=(*self.arm.excluded, *pairs), model=model))
 
     def carrying(self, load: np.ndarray) -> FreeSimulator:
         """The same arm with a load: standard parameters (10,) that its link gains; as it is where no body has them."""

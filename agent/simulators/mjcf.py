@@ -139,6 +139,7 @@ def read_mjcf(path: Path, root: Element, match: Match) -> SimulatedArm:
         step=float(model.opt.timestep),
         integrator=scene.integrator,
         solver=tuple(map(scene.solver, chosen)),
+        model=model,
     )
     scene.check(arm)
     return arm

@@ -1,5 +1,6 @@
 """Logs of positions and commands: the simulator's own motion is judged, and the file corrected."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -404,7 +405,9 @@ def test_a_simulation_in_steps_moves_as_an_arm_that_has_none(source, tmp_path):
 def test_commands_that_a_recorder_cut_are_said_and_are_no_fault(source):
     logs = [recorded(source, k, late=0.02, rest=2.0, nearest=0.1, seconds=6.0) for k in (1, 2)]
     found = found_in(source, logs)[1]
-    assert any("cut to within 0.1 " in warning for warning in found.warnings)
+    (nearest,) = [re.search(r"cut to within ([\d.]+) ", warning) for warning in found.warnings if "cut to" in warning]
+    assert nearest is not None
+    assert float(nearest[1]) == pytest.approx(0.1, rel=0.02)
     assert {cause["effect"] for cause in found.result["causes"]} <= {"time_delay"}
     assert max(found.result["gap"]["after"]) < 5e-4, "how near they are cut is a number of the fit"
     _, low, high = found.result["servo"]["delay_s"][0]

@@ -43,6 +43,8 @@ class Search:
         Log likelihood of something else that was observed, given a hypothesis.
     healthy : sequence of HealthyForm, optional
         Effects that the arm has already; None if that is not known.
+    most : int, optional
+        Effects in one hypothesis.
     """
 
     def __init__(
@@ -53,8 +55,9 @@ class Search:
         only: Collection[EffectKey] | None = None,
         observed: Observed | None = None,
         healthy: Healthy | None = None,
+        most: int = LAW.max_effects,
     ):
-        self.fit, self._progress, self._observed, self._healthy = fit, progress, observed, healthy
+        self.fit, self._progress, self._observed, self._healthy, self._most = fit, progress, observed, healthy, most
         self._ignored, self.allowed = without, {name for name in CATALOGUE if name not in without}
         self.coverage = MotionCoverage.of(fit.signals)
         self._effects_on_joints = [
@@ -72,14 +75,14 @@ class Search:
         """Evaluate the promising hypotheses, and compare them."""
         wanted = self._grid()
         usual = {(effect, joints): (effect, joints, s) for effect, joints, s in reversed(wanted) if effect.usual}
-        first = self._stable_candidates(list(usual.values()))
+        self.usual = first = self._stable_candidates(list(usual.values()))
         self.evidence = evidence = Evidence(self.fit, first, self._healthy)
         self._made.update(first)
         self._add(self.fit, wanted)
         self._progress(f"comparing {evidence.pool.size} parameterisations")
         self._keep_if_best(evidence.null_hypothesis)
         self._extend(evidence.null_hypothesis, _FIRST)
-        for depth in range(1, LAW.max_effects):
+        for depth in range(1, self._most):
             before = max(hypothesis.log_evidence for hypothesis in self._best_by_key.values())
             for base in self._extendable(depth)[: _EXTENDED[min(depth, 2) - 1]]:
                 self._progress(f"trying a further effect next to {self._text(base)}")

@@ -9,7 +9,7 @@ of the linear response. No number goes below zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -27,7 +27,7 @@ from agent.simulators import KINDS, FreeMotion, FreeSimulator, ServoNumbers
 Model = TypeVar("Model", bound=RigidFrictionModel)
 
 _ROUNDS, _TRIES = 30, 6  # numerical: at most, and steps that are tried in each
-_DAMPING, _STIFFER, _LOOSER = 1e-2, 5.0, 0.1  # numerical: of a step at first, after one that fails and one that gains
+_DAMPING = 1e-2  # numerical: of a step at first
 _GAINED = 1e-3  # numerical: of the cost, below which a round is the last
 LONGEST_DELAY = 0.6  # s
 USUAL_DELAY = 0.1  # s, standard deviation of a delay before the logs
@@ -120,18 +120,13 @@ class OutputErrorProblem:
             return self.stretches
         return tuple(stretch.cut(numbers.cut) for stretch in self.stretches)
 
-    def run(self, numbers: MovedNumbers) -> list[FreeMotion] | None:
-        """The motions with other numbers; None where the simulator blows up."""
-        if not np.all(np.isfinite(numbers.vector)):
-            return None
+    def run(self, numbers: MovedNumbers) -> Iterator[FreeMotion | None]:
+        """The motions with other numbers, one after the other; None where the simulator blows up."""
         load = numbers.load
         carrying = self.simulator.carrying(load_shape(load) @ load) if load.any() else self.simulator
-        motions = []
+        finite = bool(np.all(np.isfinite(numbers.vector)))
         for stretch in self.cut(numbers):
-            if (motion := stretch.run(carrying, numbers.servos)) is None:
-                return None
-            motions.append(motion)
-        return motions
+            yield stretch.run(carrying, numbers.servos) if finite else None
 
     def linearised(self, numbers: MovedNumbers, motions: Sequence[FreeMotion]) -> Iterator[LinearisedMotion]:
         """The motions with these numbers, with their linear response."""
@@ -237,12 +232,18 @@ class _LevenbergMarquardt:
     problem: OutputErrorProblem
     expected: np.ndarray
 
-    def at(self, numbers: MovedNumbers, change: np.ndarray, motions: list[FreeMotion]) -> _Iterate:
-        """The residuals and the cost of motions."""
-        residuals = [missed(s, m) for s, m in zip(self.problem.stretches, motions, strict=True)]
-        cost = sum(float(np.sum((residual / self.expected) ** 2)) for residual in residuals)
-        cost += float(np.sum((change / self.problem.parameters.size) ** 2))
-        return _Iterate(numbers, change, motions, residuals, cost)
+    def at(
+        self, numbers: MovedNumbers, change: np.ndarray, motions: Iterable[FreeMotion | None], limit: float = np.inf
+    ) -> _Iterate | None:
+        """The residuals and the cost of motions; None where that is no less than a `limit`, or one blows up."""
+        judged, residuals, cost = [], [], float(np.sum((change / self.problem.parameters.size) ** 2))
+        for stretch, motion in zip(self.problem.stretches, motions, strict=False):
+            if motion is None or cost >= limit:
+                return None
+            judged.append(motion)
+            residuals.append(missed(stretch, motion))
+            cost += float(np.sum((residuals[-1] / self.expected) ** 2))
+        return _Iterate(numbers, change, judged, residuals, cost) if cost < limit else None
 
     def normal_equations(self, iterate: _Iterate) -> tuple[np.ndarray, np.ndarray]:
         """Matrix (p, p) and right-hand side (p,) of the linear step."""
@@ -257,15 +258,25 @@ class _LevenbergMarquardt:
             side += rows.T @ (residual / self.expected).ravel()
         return matrix, side
 
-    def lower(self, iterate: _Iterate, matrix: np.ndarray, side: np.ndarray, weight: float) -> _Iterate | None:
-        """Where the step, damped by a weight, leads; None if that is not lower."""
-        problem, basis = self.problem, self.problem.parameters.basis
-        step = _bounded_step(matrix, side, weight, basis, iterate.numbers.at_zero)
-        numbers = MovedNumbers.of_vector(iterate.numbers.vector + basis @ step).possible(problem.reference.reach)
-        if (motions := problem.run(numbers)) is None:
-            return None
-        trial = self.at(numbers, iterate.change + step, motions)
-        return trial if trial.cost < iterate.cost else None
+    def lower(self, iterate: _Iterate, weight: float) -> tuple[_Iterate | None, float]:
+        """The next iterate, and how much to damp its step.
+
+        None where no step that promises enough is lower. The damping follows what a step gains of what it promises
+        (as in Nielsen, Damping parameter in Marquardt's method, 1999).
+        """
+        problem, basis, (matrix, side) = self.problem, self.problem.parameters.basis, self.normal_equations(iterate)
+        for number in range(1, _TRIES + 1):
+            step = _bounded_step(matrix, side, weight, basis, iterate.numbers.at_zero)
+            promised = float(step @ (2 * side - matrix @ step))
+            if promised < _GAINED * iterate.cost:
+                break
+            numbers = MovedNumbers.of_vector(iterate.numbers.vector + basis @ step).possible(problem.reference.reach)
+            trial = self.at(numbers, iterate.change + step, problem.run(numbers), iterate.cost)
+            if trial is not None:
+                surplus = 2 * (iterate.cost - trial.cost) / promised - 1
+                return trial, weight * max(0.5, 1 - surplus * surplus * surplus)
+            weight *= 2.0**number
+        return None, weight
 
 
 def fit_output_error(
@@ -286,23 +297,20 @@ def fit_output_error(
     simulator, stretches, parameters = problem.simulator, problem.stretches, problem.parameters
     cut = stretches[0].nearest if stretches[0].nearest < np.inf else 0.0
     numbers = MovedNumbers(start, cut, np.zeros(_LOAD) if load is None else load[:_LOAD])
-    if (motions := problem.run(numbers)) is None:
+    motions = [motion for motion in problem.run(numbers) if motion is not None]
+    if len(motions) < len(stretches):
         raise InputError(f"{simulator.arm.path}: the simulator blows up under the recorded command as the file is")
     sigma = np.hypot(position_step(stretches) * np.sqrt(UNIFORM), LIMITS.least_error * usual_twist(motions, start.kp))
     from_file = numbers.vector - MovedNumbers(simulator.numbers, cut, np.zeros(_LOAD)).vector
     change = np.linalg.lstsq(parameters.basis, from_file, rcond=None)[0]
     descent = _LevenbergMarquardt(problem, np.hypot(sigma, errors))
     iterate, weight = descent.at(numbers, change, motions), _DAMPING
+    assert iterate is not None
     for number in range(_ROUNDS):
-        matrix, side = descent.normal_equations(iterate)
-        for _ in range(_TRIES):
-            if (lower := descent.lower(iterate, matrix, side, weight)) is not None:
-                break
-            weight *= _STIFFER
+        lower, weight = descent.lower(iterate, weight)
         if lower is None:
             break
         drop, iterate = 1 - lower.cost / iterate.cost, lower
-        weight = max(weight * _LOOSER, 1e-8)
         progress(f"output error, round {number + 1}")
         if drop < gained:
             break

@@ -39,6 +39,7 @@ from agent.simulators import FreeSimulator, ServoNumbers, Simulator
 
 _ROUGH = 0.05  # numerical: of the cost: a fit to start from gains less in its last round
 _NARROWER, _CUTS = 0.9, 30  # numerical: of a cut of commands, the next one that is tried, and how many are
+_HOLDS = "holds"  # friction, a stationary joint
 _REVERSALS = 2  # derived: load and friction of a joint that turns back once are one step
 
 
@@ -111,8 +112,7 @@ def _fitted(
 
     The likelier way is taken, where the error of each joint is unknown, Π rmse^-N: a recorder holds what it sends, and
     smooth is what does better beyond chance. The delay of the other way is possible too: a drive that follows with a
-    lag of its own smooths held commands, and an effect on a joint prefers either way. Friction is as soft as the
-    file's, or holds a stationary joint where that does better beyond chance.
+    lag of its own smooths held commands, and an effect on a joint prefers either way.
     """
     recorded_holds = {log.metadata.get(HOLD, "") for log in logs} & {HELD, SMOOTH}
     ways = sorted(recorded_holds) if len(recorded_holds) == 1 else [HELD, SMOOTH]
@@ -125,25 +125,17 @@ def _fitted(
     free = free_of_contacts(free, (file, by_equation), stretches)
     fixed = ("kp", *EXTRA) if known_kp else EXTRA
     parameters = Parameters.create(usual_scale(reference, file, stretches).vector, fixed)
-    bare = _stiffness_of_friction(OutputErrorProblem(free, reference, stretches, parameters), by_equation, progress)
+    bare = _bare(OutputErrorProblem(free, reference, stretches, parameters), by_equation, progress)
     best = _with_cut_commands(bare, _settled(_simplest(bare, progress, known_kp), progress), progress, known_kp)
     return (best, "", 0.0) if len(ways) == 1 else _hold_of_commands(best, logs, settling, progress)
 
 
-def _stiffness_of_friction(
-    problem: OutputErrorProblem, by_equation: ServoNumbers, progress: Callable[[str], None]
-) -> OutputErrorFit:
-    """The fit with friction as soft as the file's, or that holds a stationary joint where that does better."""
-    rough = Parameters.create(problem.parameters.scale, fixed=("kp", *EXTRA))
-
-    def fitted(arm: FreeSimulator) -> OutputErrorFit:
-        of_arm = replace(problem, simulator=arm)
-        start = fit_output_error(replace(of_arm, parameters=rough), arm.numbers, progress, _ROUGH).numbers
-        start = min((start, by_equation), key=lambda numbers: error_of(arm, numbers, problem.stretches))
-        return fit_output_error(of_arm, start, progress)
-
-    soft, firm = fitted(problem.simulator), fitted(problem.simulator.holding())
-    return firm if _gains(soft, firm).sum() > _by_chance(1) else soft
+def _bare(problem: OutputErrorProblem, by_equation: ServoNumbers, progress: Callable[[str], None]) -> OutputErrorFit:
+    """The fit from the file's numbers on, or from those of the joints' equations where these are nearer."""
+    arm, rough = problem.simulator, Parameters.create(problem.parameters.scale, fixed=("kp", *EXTRA))
+    start = fit_output_error(replace(problem, parameters=rough), arm.numbers, progress, _ROUGH).numbers
+    start = min((start, by_equation), key=lambda numbers: error_of(arm, numbers, problem.stretches))
+    return fit_output_error(problem, start, progress)
 
 
 def _with_cut_commands(
@@ -193,19 +185,22 @@ def _simplest(fit: OutputErrorFit, progress: Callable[[str], None], known_kp: bo
     """The fit that what follows is linear about: one with gains, or with a load at the last link and gains as they are.
 
     Gains, friction and rotors of all joints together imitate a load, and it them. So each is tried by itself. The other
-    one, an offset of each servo, a spring at each joint, and a delay of each joint in place of the arm's follow one by
-    one where they do better than chance, what does best first.
+    one, an offset of each servo, a spring at each joint, a delay of each joint in place of the arm's, and friction that
+    holds a stationary joint where the file's is soft follow one by one where they do better than chance, what does best
+    first: soft friction imitates an offset, and the other way round.
     """
     file = fit.simulator.numbers
     n = len(file.kp)
     scales = (usual_scale(fit.reference, numbers, fit.stretches).vector for numbers in (file, fit.numbers))
     scale = np.maximum(*scales)
-    count = {"kp": n, "load": len(LOAD_NUMBERS)} | dict.fromkeys(EXTRA, n) | ({"delay": n - 1} if n > 1 else {})
+    count = {"kp": n, "load": len(LOAD_NUMBERS), _HOLDS: 1} | dict.fromkeys(EXTRA, n)
+    count |= {"delay": n - 1} if n > 1 else {}
 
     def fitted(start: OutputErrorFit, numbers: ServoNumbers, free: Sequence[str], **how: float) -> OutputErrorFit:
         fixed = [kind for kind in ("kp", *EXTRA) if kind not in free]
         parameters = Parameters.create(scale, fixed, "delay" not in free, "load" in free)
-        return fit_output_error(replace(fit.problem, parameters=parameters), numbers, progress, load=start.load, **how)
+        of_start = replace(start.problem, parameters=parameters)
+        return fit_output_error(of_start, numbers, progress, load=start.load, **how)
 
     loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ["load"], gained=_ROUGH)
     if np.mean(np.log(loaded.rmse / fit.rmse)) < np.log(LIMITS.usual_error):
@@ -214,7 +209,8 @@ def _simplest(fit: OutputErrorFit, progress: Callable[[str], None], known_kp: bo
     best, free = (loaded, ["load"]) if carries else (fit, [] if known_kp else ["kp"])
     further = [kind for kind in count if kind not in free and not (known_kp and kind == "kp")]
     while further:
-        tried = {kind: fitted(best, best.numbers, [*free, kind], gained=_ROUGH) for kind in further}
+        starts = {kind: best for kind in further} | {_HOLDS: replace(best, simulator=best.simulator.holding())}
+        tried = {kind: fitted(starts[kind], best.numbers, [*free, kind], gained=_ROUGH) for kind in further}
         beyond = {kind: float(_gains(best, other).sum()) - _by_chance(count[kind]) for kind, other in tried.items()}
         if "delay" in tried and np.ptp(tried["delay"].numbers.delay) <= fit.simulator.step:
             beyond["delay"] = -np.inf  # a simulation in such steps does not tell

@@ -200,7 +200,7 @@ def _line(
     servos = diagnosis.dataset.servos
     assert servos is not None
     free, begins = (
-        FreeSimulator(replace(simulator.arm, excluded=servos.simulation.arm.excluded)),
+        FreeSimulator(replace(simulator.arm, model=servos.simulation.arm.model)),
         np.append(set_points[0], np.zeros(set_points.shape[1])),
     )
     if np.any(servos.simulation.arm.impedance > simulator.arm.impedance):

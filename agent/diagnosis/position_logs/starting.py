@@ -27,16 +27,20 @@ from agent.simulators import FreeSimulator, ServoNumbers
 def free_of_contacts(
     simulator: FreeSimulator, numbers: Sequence[ServoNumbers], stretches: Sequence[CommandedStretch]
 ) -> FreeSimulator:
-    """The simulator without contacts of bodies that reach into each other at recorded positions.
+    """The simulator without contacts of bodies that touch at recorded positions.
 
-    The simulator itself is returned if no bodies do, or if with one of the `numbers` its motion is nearer to the
-    positions.
+    The simulator itself is returned if with one of the `numbers` its motion is nearer to the positions. Where no other
+    bodies touch at set-points, no contacts are looked for.
     """
-    pairs = simulator.colliding(np.concatenate([stretch.position for stretch in stretches]))
+    pairs, others = (
+        simulator.colliding(np.concatenate(parts))
+        for parts in zip(*((stretch.position, stretch.wanted.set_points) for stretch in stretches), strict=True)
+    )
+    touches = bool({*others} - {*pairs})
     if not pairs:
-        return simulator
-    arms = (simulator, simulator.excluding(pairs))
-    return min(arms, key=lambda arm: min(error_of(arm, each, stretches) for each in numbers))
+        return simulator if touches else simulator.without_contacts()
+    free = simulator.excluding(pairs) if touches else simulator.without_contacts(pairs)
+    return min((simulator, free), key=lambda arm: min(error_of(arm, each, stretches) for each in numbers))
 
 
 def numbers_by_equation(

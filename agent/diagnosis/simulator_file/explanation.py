@@ -24,6 +24,7 @@ import numpy as np
 from agent.core import InputError
 from agent.diagnosis.document import WaterfallStep
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
+from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.hypotheses.search import Search
 from agent.diagnosis.hypotheses.selected_causes import SelectedCauses
@@ -81,6 +82,11 @@ class Explanation:
         if self.of_file:
             return held_out_gap(self.dataset, self.selected.fit)
         return self.gap.unclosed if self.dataset.has_reference and not self.selected.causes else self.gap
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The evidence of the logs on all parameters of the model; that of the search is on those that moved."""
+        return Evidence(self.released.given.fit, self.search.usual)
 
     @cached_property
     def steps(self) -> tuple[WaterfallStep, ...]:
@@ -177,10 +183,11 @@ def explain_rows(dataset: Dataset, without: Sequence[str], progress: Callable[[s
     search = partial(_search_with, model, without, progress, unit)
     as_is, drives, everything = release(dataset, kinds=()), release(dataset, links=False), release(dataset)
     enough = LIMITS.least_share * float(np.mean(held_out_gap(as_is.moved, as_is.moved.fit, unit).before ** 2))
-    searches = [search(as_is)]
+    moves = len(everything.groups) > len(as_is.groups)
+    searches = [search(as_is, most=1 if moves else LAW.max_effects)]
     if len(as_is.groups) < len(drives.groups) < len(everything.groups):
         searches.append(search(drives))
-    if len(everything.groups) > len(as_is.groups):
+    if moves:
         progress("choosing which numbers of the simulator move, with the effects found")
         others = release(dataset, search(release_all(dataset)).selected.causes)
         pair = [search(others), *([search(everything)] if everything.parts != others.parts else [])]
@@ -208,12 +215,14 @@ def _search_with(
     progress: Callable[[str], None],
     unit: np.ndarray,
     released: ReleasedSimulator,
+    most: int = LAW.max_effects,
 ) -> Explanation:
     """Search with the moved numbers. If any moved, effects that equal numbers are left out: they would compete."""
     moved = released.moved
     left_out = (_NUMBERS if released.groups else (), _NO_MOTION if moved.servos is not None else ())
-    search = Search(moved.fit, (*without, *left_out[0], *left_out[1]), progress)
+    search = Search(released.along_groups, (*without, *left_out[0], *left_out[1]), progress, most=most)
     searched = search.run()
+    searched = replace(searched, plain=moved.fit, fit=moved.fit.with_chosen(searched.causes))
     selected = name_causes(searched)
     if hunting := [
         k for k in range(len(searched.causes)) if not selected.causes and _is_limit_cycle(moved, searched, k)

@@ -42,6 +42,13 @@ class ReleasedSimulator:
         return frozenset((group.kind, group.joint) for group in self.groups)
 
     @property
+    def along_groups(self) -> Fit:
+        """The fit with the numbers released, whose other numbers are no parameters where positions are judged."""
+        if self.given.servos is None or not self.groups:
+            return self.moved.fit
+        return self.given.fit.along(np.hstack([group.directions for group in self.groups]))
+
+    @property
     def model(self) -> IdentifiedModel:
         """The simulator's, its numbers as moved before any effect."""
         given = self.given.model
@@ -89,24 +96,25 @@ def stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Ca
     better result is taken. Last, a joint's friction and rotor go if its servo's gain alone does as well: they show
     as ratios to it.
     """
-    fit = dataset.fit.with_chosen(causes)
-    least, p = LIMITS.least_gain * float(fit.count.sum()), len(dataset.stored_covariance)
-    parts = [(fold.train, fit.gram[fold.test].sum(axis=0)) for fold in fit.folds]
-    known = [(fit.gram[train].sum(axis=0) / fit.rows_per_independent, test) for train, test in parts]
+    place, end, columns = dict[tuple[str, int], np.ndarray](), 0, [np.zeros((len(dataset.stored_covariance), 0))]
+    for group in pool:
+        place[group.kind, group.joint] = np.arange(end, end := end + group.directions.shape[1])
+        columns.append(group.directions)
+    fit = dataset.fit.along(np.hstack(columns)).with_chosen(causes)
+    least, effects = LIMITS.least_gain * float(fit.count.sum()), np.arange(end, fit.size)
+    parts = [(fit.gram[fold.train].sum(axis=0), fit.gram[fold.test].sum(axis=0)) for fold in fit.folds]
+    moments = [(train / fit.rows_per_independent, test) for train, test in parts]
 
     def error(groups: Sequence[Group]) -> float:
-        prior = fit.prior.copy()
-        prior[:p, :p] = precision_of(
-            dataset.stored_covariance + sum(group.directions @ group.directions.T for group in groups)
-        )
-        total = 0.0
-        for train, test in known:
-            matrix = train[:-1, :-1] + prior
+        moving = np.concatenate([*(place[group.kind, group.joint] for group in groups), effects])
+        total, square, judged = 0.0, np.ix_(moving, moving), np.append(moving, fit.size)
+        for train, test in moments:
+            matrix = train[square] + fit.prior[square]
             unit = 1 / np.sqrt(np.diag(matrix))
-            solution = unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * train[:-1, -1])
+            solution = unit * np.linalg.solve(matrix * np.outer(unit, unit), unit * train[moving, -1])
             extended = np.append(solution, -1.0)
-            total += float(extended @ test @ extended)
-        return total + least * sum(group.directions.shape[1] for group in groups)
+            total += float(extended @ test[np.ix_(judged, judged)] @ extended)
+        return total + least * (len(moving) - len(effects))
 
     def stepwise(chosen: list[Group]) -> tuple[float, list[Group]]:
         best = error(chosen)

@@ -115,7 +115,7 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[Servo
     wide = released_fit(dataset, drives).with_chosen(fit.chosen)
     free = servo_numbers(dataset, drives, wide.fitted()[0]).table
     p, normal = len(dataset.stored_covariance), float(ndtri((1 + LAW.confidence) / 2))
-    covariance = explanation.search.evidence.covariance(wide)
+    covariance = explanation.evidence.covariance(wide)
     spread = normal * _deviations(dataset, drives, covariance[:p, :p], free, form)
     for folds in (wide.folds, wide.segment_folds):
         without = [form(servo_numbers(dataset, drives, wide.fitted(fold)[0]).table) for fold in folds]
