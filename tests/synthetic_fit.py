@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent.diagnosis.rows.candidate import Candidate, Fold
-from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.fit import Fit, FitRows
 from agent.model import MotionSignals
 
 PERIOD = 0.008  # s
@@ -61,7 +61,8 @@ def synthetic_fit(given: bool = True, of_file: bool = False, guard: int = 9) -> 
     cell[117 : 117 + guard] = -1
     tests = [np.isin(np.arange(4), held) for held in ((0, 1), (2, 3), 0, 1, 2, 3)]
     folds = [Fold(f"{number}", test, ~test) for number, test in enumerate(tests)]
-    return Fit(reference, signals, rows, INDEX, sigma, precision, shift, cell, cell // 2, folds[:2], folds[2:])
+    split = (cell, cell // 2, folds[:2], folds[2:])
+    return Fit(FitRows(reference, signals, rows, INDEX, sigma, precision, shift, *split))
 
 
 def synthetic_form(fit: Fit, effect: Any, joints: tuple[int, ...], width: int = 1, prior: Any = None) -> Candidate:

@@ -153,7 +153,7 @@ def test_columns_are_made_once_and_anew_for_another_reference(plain):
         alone = plain.with_chosen([*chosen, second]).values[-1]
         assert plain.with_chosen(chosen).fit(offset, (1,), {}) == pytest.approx(alone, rel=1e-9)
     heavy, (one, two, three) = SimpleNamespace(**vars(plain.reference)), plain.signals
-    loaded = plain.with_chosen(signals=[one, replace(two, reference=SimpleNamespace(payload="a load")), three])
+    loaded = Fit(replace(plain.data, signals=[one, replace(two, reference=SimpleNamespace(payload="a load")), three]))
     with patch(
         "agent.diagnosis.rows.fit.NominalModel", lambda *given: SimpleNamespace(given=given, coupling=np.eye(2))
     ):

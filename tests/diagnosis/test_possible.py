@@ -76,10 +76,7 @@ def test_torque_within_stiction_at_standstill_keeps_no_cause_from_closing_the_ga
     fit = found.selected.fit
     rest = fit.near_rest & (np.arange(fit.reference.robot.dof) == 1)
     rows = [np.column_stack([part[:, :-1], part[:, -1] + 1.5 * rest[:, j]]) for j, part in enumerate(fit.rows)]
-    open_at_rest = Fit(
-        fit.reference, fit.signals, rows, fit.parameter_index, fit.sigma, fit.precision, fit.prior_information,
-        fit.cell_of_row, fit.segment_of_row, fit.folds, fit.segment_folds,
-    ).with_chosen(fit.chosen)  # fmt: skip
+    open_at_rest = Fit(replace(fit.data, rows=rows), fit.chosen)
     residual = found.dataset.residual + 1.5 * rest * fit.sigma
     gap = held_out_gap(replace(found.dataset, residual=residual), open_at_rest)
     assert rms(open_at_rest.held_out())[1] > 2 * rms(fit.held_out())[1], "the error is there"

@@ -9,6 +9,7 @@ import pytest
 from agent.diagnosis import Diagnosis, diagnose
 from agent.diagnosis.gap.stuck_torque import stuck_torque
 from agent.diagnosis.rows.dataset import assemble
+from agent.diagnosis.rows.fit import Fit
 from agent.estimation import EstimationSettings, estimate
 from agent.model import IdentifiedModel
 from agent.recording import read_log
@@ -137,6 +138,8 @@ def test_a_constant_torque_is_tolerated_if_no_joint_has_a_gap(robot, model):
     """Some rows have energy over the noise model, but no joint has any as a whole."""
     dataset = assemble(robot, model, _logs(robot, _holding), None)
     assert stuck_torque(dataset, dataset.fit) is not None
-    wide = dataset.fit.with_chosen(sigma=5 * dataset.fit.sigma)  # of a model that errs by 1 % of nominal everywhere
+    wide = Fit(
+        replace(dataset.fit.data, sigma=5 * dataset.fit.sigma)
+    )  # of a model that errs by 1 % of nominal everywhere
     some = np.where(np.abs(dataset.residual) > 10 * dataset.fit.sigma, 2.5, 0.0) * wide.sigma
     assert stuck_torque(replace(dataset, fit=wide, residual=some), wide) is None

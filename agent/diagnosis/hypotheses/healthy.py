@@ -122,7 +122,7 @@ def _left_out(model: IdentifiedModel, logs: Sequence[Log]) -> LearnedErrors:
     fit = fit.with_noise(sliding)
     residual, precision = _of_others(fit, len(logs))
     unseen = fit.with_residual(residual / fit.sigma)  # as of a model of other logs
-    fit = unseen.with_chosen(precision=np.mean(precision, axis=0), prior_information=np.zeros(len(precision[0])))
+    fit = unseen.with_prior(np.mean(precision, axis=0), np.zeros(len(precision[0])))
     parts = [(fit.of_log(number, precision[number]), fit.rows_of(number)) for number in range(len(logs))]
     return sliding, *_shown(fit, parts)
 

@@ -30,7 +30,7 @@ from agent.diagnosis.position_logs.fitting import (
 )
 from agent.diagnosis.position_logs.stretch import LinearisedMotion
 from agent.diagnosis.rows.dataset import Dataset, precision_of
-from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.fit import Fit, FitRows
 from agent.diagnosis.rows.folds import folds_of, segments_of
 from agent.diagnosis.rows.joined import joined, log_of_rows
 from agent.diagnosis.rows.servos import ComparedSimulation, PositionLayout, ServoParameters, ServoPrior
@@ -61,7 +61,7 @@ def assemble_positions(
     index = [np.arange(servos.layout.size)] * len(error)
     block = segments_of(time, log, logs, LIMITS.segment_duration)
     rests = StandstillWhitening(tuple(() for _ in error))
-    of_rows = Fit(reference, signals, rows, index, sigma, *prior, cell, block, folds, segment_folds, rests)
+    of_rows = Fit(FitRows(reference, signals, rows, index, sigma, *prior, cell, block, folds, segment_folds, rests))
     speed = joined(signals, "qd")
     rate = 1 / float(np.median(np.diff(time)))
     judged = replace(model, robot=bare, held_out_rmse=error, residual_rmse=error, weights=1 / np.stack([error**2] * 2))

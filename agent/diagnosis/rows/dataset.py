@@ -11,7 +11,7 @@ import numpy as np
 
 from agent.core import InputError, symmetric_eigen
 from agent.diagnosis.limits import LIMITS
-from agent.diagnosis.rows.fit import Fit
+from agent.diagnosis.rows.fit import Fit, FitRows
 from agent.diagnosis.rows.folds import folds_of, segments_of
 from agent.diagnosis.rows.joined import joined, log_of_rows
 from agent.diagnosis.rows.rounding import rounding_noise
@@ -167,9 +167,8 @@ def assemble(
         prior = physical_prior(observation, model.terms, _links(model))
         precision, prior_information = prior.precision, prior.precision @ (prior.mean - model.values)
     block = segments_of(time, log, logs, LIMITS.segment_duration)
-    fit = Fit(
-        reference, signals, over_sigma, index, sigma, precision, prior_information, cell, block, folds, segment_folds
-    )
+    split = (cell, block, folds, segment_folds)
+    fit = Fit(FitRows(reference, signals, over_sigma, index, sigma, precision, prior_information, *split))
     rate = 1 / float(np.median(np.diff(time)))
     return Dataset(robot, model, has_reference, fit, residual, speed, time, log, tuple(logs), rate, cutoff)
 

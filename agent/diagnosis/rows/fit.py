@@ -13,10 +13,8 @@ on small matrices. With H = Λ + XᵀX and the Schur complement S = ZᵀZ − Z�
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -27,48 +25,77 @@ from agent.diagnosis.rows.standstill import StandstillWhitening, noise_level
 from agent.model import Effect, MotionSignals, NominalModel
 
 
+@dataclass(frozen=True, eq=False)
+class FitRows:
+    """Rows of a model's columns and residual on some logs, and how they are split.
+
+    rows[j] (S', p_j + 1): columns of the model's parameters parameter_index[j] and the residual of joint j, over
+    `sigma` (S', n); `precision` (p, p) and `prior_information` (p,) of the parameters; `cell_of_row` (S',), -1: guard;
+    `segment_of_row` (S',) of the motion, the same in all of its cycles; `folds` for what repeats, `segment_folds` for
+    what happens once; `whitening` is that of the motions unless it is given.
+    """
+
+    reference: NominalModel
+    signals: Sequence[MotionSignals]
+    rows: Sequence[np.ndarray]
+    parameter_index: Sequence[np.ndarray]
+    sigma: np.ndarray
+    precision: np.ndarray
+    prior_information: np.ndarray
+    cell_of_row: np.ndarray
+    segment_of_row: np.ndarray
+    folds: Sequence[Fold] = ()
+    segment_folds: Sequence[Fold] = ()
+    whitening: StandstillWhitening | None = None
+
+
+#: Candidates that were made, by effect, joints and nonlinear parameters.
+_Made = dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate]
+
+
 class Fit:
     """The residual of a model on some logs, ready to try candidates on.
 
-    rows[j] (S', p_j + 1): columns of the model's parameters parameter_index[j] and the residual of joint j, over
-    `sigma` (S', n); `cell_of_row` (S',), -1: guard; `segment_of_row` (S',) of the motion, the same in all of its
-    cycles; `folds` for what repeats, `segment_folds` for what happens once. `whitening` is of the motions where none is
-    given. `spans` are the parameters of each chosen effect, behind the model's.
+    Parameters
+    ----------
+    data : FitRows
+        Whose fields are attributes of the fit too.
+    chosen : sequence of Candidate, optional
+        Effects that are part of the model; `spans` are their parameters, behind the model's.
+    moments : FitMoments, optional
+        Those of the rows, where they are known.
+    made : dict, optional
+        Candidates that were made on these rows.
     """
 
     def __init__(
         self,
-        reference: NominalModel,
-        signals: Sequence[MotionSignals],
-        rows: Sequence[np.ndarray],
-        parameter_index: Sequence[np.ndarray],
-        sigma: np.ndarray,
-        precision: np.ndarray,
-        prior_information: np.ndarray,
-        cell_of_row: np.ndarray,
-        segment_of_row: np.ndarray,
-        folds: Sequence[Fold],
-        segment_folds: Sequence[Fold],
-        whitening: StandstillWhitening | None = None,
+        data: FitRows,
+        chosen: Sequence[Candidate] = (),
+        moments: FitMoments | None = None,
+        made: _Made | None = None,
     ):
-        self.reference, self.signals = reference, list(signals)
-        self.rows, self.parameter_index = list(rows), list(parameter_index)
-        self.sigma, self.precision, self.prior_information = sigma, precision, prior_information
-        self.cell_of_row, self.segment_of_row = cell_of_row, segment_of_row
-        self.folds, self.segment_folds = list(folds), list(segment_folds)
+        self.reference, self.signals = data.reference, data.signals
+        self.rows, self.parameter_index = data.rows, data.parameter_index
+        self.sigma, self.precision, self.prior_information = data.sigma, data.precision, data.prior_information
+        self.cell_of_row, self.segment_of_row = data.cell_of_row, data.segment_of_row
+        self.folds, self.segment_folds = data.folds, data.segment_folds
         lengths = [len(range(*s.kept.indices(len(s.time)))) for s in self.signals]
         self.cuts = np.cumsum(lengths)[:-1]
         rate = 1 / float(np.median(np.diff(self.signals[0].time[self.signals[0].kept])))
         self.rows_per_independent = max(1.0, LIMITS.row_correlation_time * rate)
-        self.whitening = whitening or StandstillWhitening.of(self.signals, self.rows_per_independent)
-        self._moments = FitMoments(self.rows, self.parameter_index, cell_of_row, len(precision), self.whitening)
+        self.whitening = data.whitening or StandstillWhitening.of(self.signals, self.rows_per_independent)
+        self.data = replace(data, whitening=self.whitening)
+        self._moments = moments or FitMoments(
+            self.rows, self.parameter_index, self.cell_of_row, len(self.precision), self.whitening
+        )
         self.cells, self.count = self._moments.cells, self._moments.count
-        self._made: dict[tuple[Effect, tuple[int, ...], tuple[tuple[str, float], ...]], Candidate] = {}
-        self._extend(())
-
-    def _extend(self, chosen: Sequence[Candidate]) -> None:
-        """Moments of the model's columns, those of the effects chosen already, and the residual."""
+        self._made: _Made = {} if made is None else made
         self.chosen = tuple(chosen)
+        self._extend()
+
+    def _extend(self) -> None:
+        """Moments of the model's columns, those of the effects chosen already, and the residual."""
         base = len(self.precision)
         ends = parameter_ends(base, self.chosen)
         self.spans = tuple(slice(a, b) for a, b in pairwise(ends.tolist()))
@@ -102,16 +129,18 @@ class Fit:
         weak = np.diag(1e-7 * energy / self.rows_per_independent + 1e-12)
         return weak if candidate.prior is None else weak + candidate.prior
 
-    def with_chosen(self, chosen: Sequence[Candidate] = (), **changed: Any) -> Fit:
-        """The same data with these effects as part of the model; `changed`: attributes that differ, by name."""
-        other = copy(self)
-        vars(other).update(changed)
-        other._extend(chosen)
-        return other
+    def with_chosen(self, chosen: Sequence[Candidate] = ()) -> Fit:
+        """The same data with these effects as part of the model."""
+        return Fit(self.data, chosen, self._moments, self._made)
 
-    def with_prior(self, precision: np.ndarray) -> Fit:
-        """The same data without effects, and with another prior precision (p, p) of the model's parameters."""
-        return self.with_chosen(precision=precision)
+    def with_prior(self, precision: np.ndarray, prior_information: np.ndarray | None = None) -> Fit:
+        """The same data without effects, and with another prior precision (p, p) of the model's parameters.
+
+        `prior_information` (p,) is that precision times the mean of the prior; as it was unless it is given.
+        """
+        information = self.prior_information if prior_information is None else prior_information
+        data = replace(self.data, precision=precision, prior_information=information)
+        return Fit(data, (), self._moments, self._made)
 
     def along(self, directions: np.ndarray) -> Fit:
         """The same rows without effects, of a model whose parameters move along `directions` (p, k) alone, by N(0, 1).
@@ -123,38 +152,19 @@ class Fit:
             np.column_stack([rows[:, :-1] @ directions[index], rows[:, -1]])
             for rows, index in zip(self.rows, self.parameter_index, strict=True)
         ]
-        parameter_index = [np.arange(k)] * len(moved)
-        return self.with_chosen(
-            rows=moved,
-            parameter_index=parameter_index,
-            precision=np.eye(k),
-            prior_information=np.zeros(k),
-            _moments=FitMoments(moved, parameter_index, self.cell_of_row, k, self.whitening),
-        )
+        data = replace(self.data, rows=moved, parameter_index=[np.arange(k)] * len(moved))
+        return Fit(replace(data, precision=np.eye(k), prior_information=np.zeros(k)), (), None, self._made)
 
     def with_residual(self, residual: np.ndarray) -> Fit:
         """The same motions without effects, and with another residual (S', n) over `sigma`; candidates are kept."""
         rows = [np.column_stack([rows[:, :-1], column]) for rows, column in zip(self.rows, residual.T, strict=True)]
-        return self.with_chosen(rows=rows, _moments=self._moments.with_residual(rows))
+        return Fit(replace(self.data, rows=rows), (), self._moments.with_residual(rows), self._made)
 
     def with_noise(self, moving: np.ndarray) -> Fit:
         """The same rows without effects, of a model that errs by (n,) [N·m] in motion."""
         sigma = noise_level(self.reference, moving, self.signals)
         rows = [rows * (self.sigma / sigma)[:, [joint]] for joint, rows in enumerate(self.rows)]
-        return Fit(
-            self.reference,
-            self.signals,
-            rows,
-            self.parameter_index,
-            sigma,
-            self.precision,
-            self.prior_information,
-            self.cell_of_row,
-            self.segment_of_row,
-            self.folds,
-            self.segment_folds,
-            self.whitening,
-        )
+        return Fit(replace(self.data, rows=rows, sigma=sigma))
 
     @property
     def usual_error(self) -> np.ndarray:
@@ -178,7 +188,7 @@ class Fit:
         loads = [signals.reference.payload for signals in self.signals]
         references = [reference if load is None else NominalModel(reference.model, load) for load in loads]
         signals = [replace(of_motion, reference=new) for of_motion, new in zip(self.signals, references, strict=True)]
-        return self.with_chosen(reference=reference, signals=signals, _made={})
+        return Fit(replace(self.data, reference=reference, signals=signals), (), self._moments)
 
     def rows_of(self, number: int) -> slice:
         """Rows of a log."""
@@ -188,27 +198,21 @@ class Fit:
 
     def of_log(self, number: int, precision: np.ndarray) -> Fit:
         """One log alone, without effects, and with another prior precision (p, p) of the model's parameters."""
-        log_rows, no_information = self.rows_of(number), np.zeros(len(self.precision))
-        rows, sigma, segments = (
-            [rows[log_rows] for rows in self.rows],
-            self.sigma[log_rows],
-            self.segment_of_row[log_rows],
+        rows = self.rows_of(number)
+        one_log = replace(
+            self.data,
+            signals=[signals for signals in self.signals if signals.log_index == number],
+            rows=[block[rows] for block in self.rows],
+            sigma=self.sigma[rows],
+            precision=precision,
+            prior_information=np.zeros(len(precision)),
+            cell_of_row=np.zeros(len(self.sigma[rows]), dtype=int),
+            segment_of_row=self.segment_of_row[rows],
+            folds=(),
+            segment_folds=(),
+            whitening=None,
         )
-        signals = [of_motion for of_motion in self.signals if of_motion.log_index == number]
-        one_cell = np.zeros(len(sigma), dtype=int)
-        return Fit(
-            self.reference,
-            signals,
-            rows,
-            self.parameter_index,
-            sigma,
-            precision,
-            no_information,
-            one_cell,
-            segments,
-            [],
-            [],
-        )
+        return Fit(one_log)
 
     @property
     def sigmas(self) -> list[np.ndarray]:
@@ -235,7 +239,7 @@ class Fit:
         return any(c.transient for c in self.chosen)
 
     @property
-    def test_folds(self) -> list[Fold]:
+    def test_folds(self) -> Sequence[Fold]:
         """Folds that judge the chosen effects: of motions, or of segments where one happens once."""
         return self.segment_folds if self.transient else self.folds
 
