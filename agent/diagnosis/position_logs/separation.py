@@ -203,8 +203,7 @@ def _line(
         FreeSimulator(replace(simulator.arm, model=servos.simulation.arm.model)),
         np.append(set_points[0], np.zeros(set_points.shape[1])),
     )
-    if np.any(servos.simulation.arm.impedance > simulator.arm.impedance):
-        free = free.holding()
+    free = free.holding(servos.simulation.arm.impedance > simulator.arm.impedance)
     command = RecordedCommand(time, set_points, True)
     stretch = CommandedStretch(len(diagnosis.dataset.logs), time, set_points, command, begins)
     motion = stretch.run(free, numbers)
