@@ -12,19 +12,7 @@ from agent.diagnosis.gap.torque_gap import rms
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file.numbers_as_causes import springs_as_effects
-from agent.diagnosis.simulator_file.parameter_groups import (
-    BEND,
-    DELAY,
-    GAIN,
-    LINK,
-    LOAD,
-    OFFSET,
-    OWN_DELAY,
-    SPRING,
-    Group,
-    drive_groups,
-    groups_of,
-)
+from agent.diagnosis.simulator_file.parameter_groups import NumberGroup, NumberKind, drive_groups, groups_of
 from agent.diagnosis.simulator_file.released_numbers import gained_load
 from agent.diagnosis.simulator_file.reversals import reversals_as_effects
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
@@ -33,7 +21,7 @@ from agent.robot import ParameterLayout
 from agent.simulators import Correction, FittedChange, PositionServos, Released, Simulator, correct, with_servos
 
 #: Groups of one servo, in a file its actuator.
-_OF_SERVO = (GAIN, OFFSET, OWN_DELAY)
+_OF_SERVO = (NumberKind.GAIN, NumberKind.OFFSET, NumberKind.OWN_DELAY)
 
 
 def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int | None = None) -> Correction:
@@ -52,7 +40,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
     b = len(simulator.model.independent)
     servos, groups = diagnosis.dataset.servos, diagnosis.released.groups if diagnosis.released else ()
     if servos is not None and _moves_worse(diagnosis, change):
-        loads = (group for group in groups_of(diagnosis.dataset) if group.kind == LOAD)
+        loads = (group for group in groups_of(diagnosis.dataset) if group.kind == NumberKind.LOAD)
         change, groups = servos.fitted, (*drive_groups(diagnosis.dataset), *loads)
     weight = fit.gram[:, :b, :b].sum(axis=0) / fit.rows_per_independent
     closes = {step.step: step.closes for step in diagnosis.document.waterfall}
@@ -62,10 +50,10 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
 
     released = Released()
     for group in groups:
-        if group.kind in (*_OF_SERVO, DELAY, BEND, SPRING):
+        if group.kind in (*_OF_SERVO, NumberKind.DELAY, NumberKind.BEND, NumberKind.SPRING):
             continue
-        into = {"friction": released.friction, "rotor inertia": released.rotors}
-        into |= dict.fromkeys((LINK, LOAD), released.links)
+        into = {NumberKind.FRICTION: released.friction, NumberKind.ROTOR: released.rotors}
+        into |= dict.fromkeys((NumberKind.LINK, NumberKind.LOAD), released.links)
         into[group.kind][group.joint] = reason(group.text(names))
     effects, reasons = [], {}
     for candidate, values in zip(fit.chosen, fitted, strict=True):
@@ -73,7 +61,7 @@ def corrected_numbers(diagnosis: Diagnosis, simulator: Simulator, without: int |
         effects.append(candidate.part_of_model(values, names))
     for spring in springs_as_effects(diagnosis.dataset, groups, change):
         effects.append(spring)
-        reasons[spring.effect, spring.joints] = reason(f"{SPRING} of {spring.joints[0]}")
+        reasons[spring.effect, spring.joints] = reason(f"{NumberKind.SPRING} of {spring.joints[0]}")
     of_model = change[: len(simulator.model.values)].copy()
     if servos is not None:  # the file's simulator adds inertia to what it says
         robot, rotors = diagnosis.dataset.robot, ParameterLayout.of(diagnosis.dataset.robot).rotors
@@ -116,7 +104,7 @@ def _moves_worse(diagnosis: Diagnosis, change: np.ndarray) -> bool:
     def over_fit(error: np.ndarray) -> float:
         return float(np.sqrt(np.mean((np.hypot(error, least) / np.hypot(fitted, least)) ** 2)))
 
-    if any(group.kind == LINK for group in released.groups):
+    if any(group.kind == NumberKind.LINK for group in released.groups):
         return over_fit(diagnosis.gap.after * diagnosis.gap.unit) > 1.0
     numbers = servo_numbers(dataset, released.groups, change).possible
     return over_fit(servos.simulation.error(numbers, gained_load(released))) > LIMITS.equal_ratio
@@ -170,7 +158,7 @@ def _with_servos(
     correction: Correction,
     diagnosis: Diagnosis,
     change: np.ndarray,
-    groups: Sequence[Group],
+    groups: Sequence[NumberGroup],
     reasons: Mapping[str, str],
 ) -> Correction:
     """Gains, offsets and delays moved by a `change` (p,); damping below zero comes off the servo's: both are one."""
@@ -180,12 +168,15 @@ def _with_servos(
     viscous = correction.given.damping + change[servos.layout.damping]
     damping = np.maximum(given.damping + np.minimum(viscous, 0.0), 0.0)
     every = np.arange(len(servos.file.kp))
-    moves = {kind: np.isin(every, [g.joint for g in groups if g.kind == kind]) for kind in (GAIN, OFFSET)}
+    moves = {
+        kind: np.isin(every, [g.joint for g in groups if g.kind == kind])
+        for kind in (NumberKind.GAIN, NumberKind.OFFSET)
+    }
     changed = replace(
         given,
-        stiffness=np.where(moves[GAIN], servos.gains(change), servos.file.kp),
+        stiffness=np.where(moves[NumberKind.GAIN], servos.gains(change), servos.file.kp),
         damping=damping,
         delay=np.maximum(given.delay + change[servos.layout.delay], 0.0),
-        offset=np.where(moves[OFFSET], servos.offsets(change), given.offset),
+        offset=np.where(moves[NumberKind.OFFSET], servos.offsets(change), given.offset),
     )
     return with_servos(correction, changed, servos.simulation.arm, reasons)

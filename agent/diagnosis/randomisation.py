@@ -17,7 +17,7 @@ import numpy as np
 from agent.diagnosis.diagnosis import Diagnosis
 from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.simulator_file.numbers_as_causes import springs_as_effects
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, OWN_DELAY, SPRING, Group, groups_of
+from agent.diagnosis.simulator_file.parameter_groups import NumberGroup, NumberKind, groups_of
 from agent.diagnosis.simulator_file.released_numbers import delay_of
 from agent.diagnosis.sizes import unit_of
 from agent.model import FileNumbers
@@ -46,9 +46,9 @@ def ranges(diagnosis: Diagnosis, correction: Correction) -> tuple[Range, ...]:
     result = list[Range]()
     for group in released.groups:
         deviations, of_groups = np.split(of_groups, [group.directions.shape[1]])
-        if group.kind in (GAIN, OFFSET, DELAY, OWN_DELAY):
+        if group.kind in (NumberKind.GAIN, NumberKind.OFFSET, NumberKind.DELAY, NumberKind.OWN_DELAY):
             result.append(_of_servo(diagnosis, change, group, float(deviations[0])))
-        elif group.kind == SPRING:
+        elif group.kind == NumberKind.SPRING:
             for spring in springs_as_effects(diagnosis.dataset, [group], change):
                 owner, size = f"{spring.effect} of {', '.join(spring.joints)}", float(group.scale[0] * deviations[0])
                 unit = _unit(spring.effect, "stiffness", diagnosis.dataset.robot.joints[group.joint].prismatic)
@@ -69,7 +69,7 @@ def _deviations(diagnosis: Diagnosis) -> tuple[np.ndarray, np.ndarray]:
     assert diagnosis.released is not None
     fit, released = diagnosis.selected.fit, diagnosis.released
     p = len(diagnosis.dataset.stored_covariance)
-    others = (group for group in groups_of(released.given) if (group.kind, group.joint) not in released.parts)
+    others = (group for group in groups_of(released.given) if group.key not in released.parts)
     columns = np.hstack([group.directions for group in (*released.groups, *others)])
     count = columns.shape[1]
     spread = np.zeros((fit.size, count + fit.size - p))
@@ -84,15 +84,15 @@ def _deviations(diagnosis: Diagnosis) -> tuple[np.ndarray, np.ndarray]:
     return deviations[:count], deviations[count:]
 
 
-def _of_servo(diagnosis: Diagnosis, change: np.ndarray, group: Group, deviation: float) -> Range:
+def _of_servo(diagnosis: Diagnosis, change: np.ndarray, group: NumberGroup, deviation: float) -> Range:
     """Gain, offset or delay of a servo, or the delay of all."""
     servos, joint = diagnosis.dataset.servos, group.joint
     assert servos is not None
     assert diagnosis.released is not None
     owner = "actuators" if joint < 0 else f"actuator of {diagnosis.dataset.robot.joint_names[joint]}"
-    if group.kind == GAIN:
+    if group.kind == NumberKind.GAIN:
         return _range(owner, "kp", servos.gains(change)[joint], group.scale[0] * deviation, "N·m/rad")
-    if group.kind == OFFSET:
+    if group.kind == NumberKind.OFFSET:
         value = float(servos.offsets(change)[joint])
         return Range(owner, FileNumbers.OFFSET, value, *_ends(value, float(group.scale[0]) * deviation), "rad")
     delay = servos.file.delay.mean() if joint < 0 else servos.file.delay[joint]
@@ -100,11 +100,11 @@ def _of_servo(diagnosis: Diagnosis, change: np.ndarray, group: Group, deviation:
     return _range(owner, "delay", value, servos.prior.delay * deviation, "s")
 
 
-def _of_arm(diagnosis: Diagnosis, arm: SimulatedArm, group: Group, deviations: np.ndarray) -> list[Range]:
+def _of_arm(diagnosis: Diagnosis, arm: SimulatedArm, group: NumberGroup, deviations: np.ndarray) -> list[Range]:
     """Friction and damping, or rotor, or mass of a joint or its body in a corrected arm."""
     joint, model, robot = group.joint, diagnosis.dataset.model, diagnosis.dataset.robot
     name, force, way = robot.joint_names[joint], robot.joints[joint].torque_unit, robot.joints[joint].position_unit
-    if group.kind == FileNumbers.FRICTION:
+    if group.kind == NumberKind.FRICTION:
         result, base = [], len(model.independent)
         for column, k in enumerate(k for k, term in enumerate(model.terms) if term.axle == joint):
             deviation = group.directions[base + k, column] * deviations[column]
@@ -113,7 +113,7 @@ def _of_arm(diagnosis: Diagnosis, arm: SimulatedArm, group: Group, deviations: n
             else:
                 result.append(_range(f"joint {name}", "damping", arm.damping[joint], deviation, f"{force}·s/{way}"))
         return result
-    if group.kind == "rotor inertia":
+    if group.kind == NumberKind.ROTOR:
         mass = "kg" if robot.joints[joint].prismatic else "kg·m²"
         deviation = robot.gear_ratios[joint] ** 2 * group.scale[0] * deviations[0]
         return [_range(f"joint {name}", "armature", arm.armature[joint], deviation, mass)]

@@ -10,7 +10,7 @@ from agent.diagnosis.document import Cause, NamedEffect
 from agent.diagnosis.rows.fit import Fit
 from agent.diagnosis.simulator_file import servo_table
 from agent.diagnosis.simulator_file.numbers_as_causes import likely_effects_on
-from agent.diagnosis.simulator_file.parameter_groups import Group
+from agent.diagnosis.simulator_file.parameter_groups import NumberGroup, NumberKind
 from agent.diagnosis.simulator_file.position_verdict import _as_class
 from agent.diagnosis.verdict import decide_by_position
 from agent.simulators import KINDS, ServoNumbers
@@ -107,7 +107,7 @@ def test_an_effect_that_is_likely_next_to_friction_that_moved_may_be_all_of_it()
     hypotheses = [SimpleNamespace(effect_keys=(("stribeck", (1,)), ("backlash", (0,))))]
     selected = SimpleNamespace(hypotheses=hypotheses, causes=[])
     released = SimpleNamespace(given=SimpleNamespace(servos=object()))
-    friction = Group("friction", 1, np.zeros((9, 2)), np.ones(2))
+    friction = NumberGroup(NumberKind.FRICTION, 1, np.zeros((9, 2)), np.ones(2))
     assert likely_effects_on(released, selected, friction) == ["stribeck"]  # type: ignore[arg-type]
     selected.causes = [SimpleNamespace(key=("stribeck", (1,)))]
     assert likely_effects_on(released, selected, friction) == []  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from agent.diagnosis.gap.torque_gap import held_out_gap
 from agent.diagnosis.hypotheses.testability import not_testable, smallest_sizes
 from agent.diagnosis.rows.dataset import Dataset, assemble
 from agent.diagnosis.simulator_file.explanation import Explanation, _possible, replacing_numbers, with_expected_error
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN
+from agent.diagnosis.simulator_file.parameter_groups import NumberKind
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release
 from agent.diagnosis.verdict import name_causes
 from agent.experiment import open_pairs
@@ -197,7 +197,10 @@ def test_an_effect_where_gains_may_be_wrong_leaves_no_more_than_moved_numbers(le
 
 
 def test_of_explanations_that_leave_as_much_the_delay_costs_nothing_and_an_effect_its_settings():
-    groups = [SimpleNamespace(kind=kind, directions=np.zeros((9, width))) for kind, width in ((DELAY, 1), (GAIN, 1))]
+    groups = [
+        SimpleNamespace(kind=kind, directions=np.zeros((9, width)))
+        for kind, width in ((NumberKind.DELAY, 1), (NumberKind.GAIN, 1))
+    ]
     cause = SimpleNamespace(effect=CATALOGUE["stribeck"], names=("rise",), settings={"speed": 0.1, "shape": 1.0})
     released, selected = SimpleNamespace(groups=groups), SimpleNamespace(causes=[cause])
     assert Explanation(released, SimpleNamespace(), selected, SimpleNamespace()).parameters == 4

@@ -22,17 +22,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.linear_rows import model_columns
 from agent.diagnosis.position_logs.stretch import CommandedStretch, LinearisedMotion
 from agent.diagnosis.rows.candidate import Candidate
-from agent.diagnosis.simulator_file.parameter_groups import (
-    DELAY,
-    GAIN,
-    LINK,
-    LOAD,
-    OFFSET,
-    OWN_DELAY,
-    SPRING,
-    Group,
-    groups_of,
-)
+from agent.diagnosis.simulator_file.parameter_groups import NumberGroup, NumberKind, groups_of
 from agent.diagnosis.simulator_file.servo_table import servo_numbers
 from agent.model import CATALOGUE, FileNumbers
 from agent.simulators import FreeSimulator, RecordedCommand, Simulator
@@ -40,13 +30,13 @@ from agent.simulators import FreeSimulator, RecordedCommand, Simulator
 _FLAT = 1e-6  # of the information on an effect's parameter: its prior
 #: Kinds of numbers that an effect is, by `Effect.numbers`.
 _KINDS: dict[FileNumbers | None, tuple[str, ...]] = {
-    FileNumbers.FRICTION: (FileNumbers.FRICTION, "rotor inertia"),
-    FileNumbers.LINKS: (LINK,),
-    LOAD: (LOAD,),
-    GAIN: (GAIN,),
-    DELAY: (DELAY, OWN_DELAY),
-    OFFSET: (OFFSET,),
-    SPRING: (SPRING,),
+    FileNumbers.FRICTION: (NumberKind.FRICTION, NumberKind.ROTOR),
+    FileNumbers.LINKS: (NumberKind.LINK,),
+    FileNumbers.LOAD: (NumberKind.LOAD,),
+    FileNumbers.GAIN: (NumberKind.GAIN,),
+    FileNumbers.DELAY: (NumberKind.DELAY, NumberKind.OWN_DELAY),
+    FileNumbers.OFFSET: (NumberKind.OFFSET,),
+    FileNumbers.SPRING: (NumberKind.SPRING,),
 }
 
 
@@ -70,7 +60,7 @@ class _Side:
 
     effect: str
     text: str
-    groups: tuple[Group, ...]
+    groups: tuple[NumberGroup, ...]
     form: Candidate | None
     values: np.ndarray | None
 
@@ -125,7 +115,7 @@ def _side(diagnosis: Diagnosis, effect: str, joints: Sequence[str]) -> _Side | N
         for group in (() if released is None else groups_of(released.given))
         if group.kind in _KINDS.get(numbers, ())
         and (not joints or group.joint in place[1])
-        and (numbers != LOAD or group.joint == robot.load_link)
+        and (numbers != FileNumbers.LOAD or group.joint == robot.load_link)
     )
     return _Side(effect, text, groups, None, None) if groups else None
 
@@ -141,10 +131,10 @@ def _right(diagnosis: Diagnosis, first: _Side, second: _Side, information: np.nd
         true[:p] = span @ np.linalg.lstsq(span, diagnosis.released.moved.fit.change, rcond=1e-9)[0]
     elif first.values is not None:
         true[p : p + place[first]] = first.values
-    own = {(group.kind, group.joint) for group in first.groups}
+    own = {group.key for group in first.groups}
     drives = [group for group in groups_of(diagnosis.released.given) if not group.moves_links]
-    for group in {(g.kind, g.joint): g for g in (*drives, *second.groups)}.values():
-        if (group.kind, group.joint) not in own:
+    for group in {g.key: g for g in (*drives, *second.groups)}.values():
+        if group.key not in own:
             columns.append(np.vstack([group.directions, np.zeros((size - p, group.directions.shape[1]))]))
             prior += [1.0] * group.directions.shape[1]
     if second.form is not None:

@@ -32,7 +32,7 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, assemble, expected_error
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET
+from agent.diagnosis.simulator_file.parameter_groups import NumberKind
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, release_all
 from agent.diagnosis.simulator_file.reversals import with_reversals
 from agent.diagnosis.simulator_file.waterfall import waterfall
@@ -48,7 +48,9 @@ _NUMBERS = tuple(
 )
 #: Effects that do not show in motion, or are numbers of servos there.
 _NO_MOTION = tuple(
-    name for name, effect in CATALOGUE.items() if effect.transient or effect.numbers in (GAIN, OFFSET, DELAY)
+    name
+    for name, effect in CATALOGUE.items()
+    if effect.transient or effect.numbers in (FileNumbers.GAIN, FileNumbers.OFFSET, FileNumbers.DELAY)
 )
 #: The effect that is links which weigh otherwise.
 _LINKS = next(name for name, effect in CATALOGUE.items() if effect.numbers == FileNumbers.LINKS)
@@ -110,7 +112,7 @@ class Explanation:
     @property
     def parameters(self) -> int:
         """How many numbers of the file move, but the delay, and parameters its effects have."""
-        moved = sum(group.directions.shape[1] for group in self.released.groups if group.kind != DELAY)
+        moved = sum(group.directions.shape[1] for group in self.released.groups if group.kind != NumberKind.DELAY)
         effects = [(cause, cause.effect.counted(cause.settings)) for cause in self.selected.causes]
         return moved + sum(len(cause.names) + settings for cause, settings in effects)
 

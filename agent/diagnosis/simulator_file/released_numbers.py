@@ -19,8 +19,8 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.candidate import Candidate
 from agent.diagnosis.rows.dataset import Dataset, precision_of
 from agent.diagnosis.rows.fit import Fit
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, LOAD, OWN_DELAY, Group, groups_of
-from agent.model import FileNumbers, IdentifiedModel, NominalModel
+from agent.diagnosis.simulator_file.parameter_groups import NumberGroup, NumberKind, groups_of
+from agent.model import IdentifiedModel, NominalModel
 from agent.robot import ParameterLayout
 
 
@@ -34,12 +34,12 @@ class ReleasedSimulator:
 
     given: Dataset
     moved: Dataset
-    groups: tuple[Group, ...]
+    groups: tuple[NumberGroup, ...]
 
     @property
-    def parts(self) -> frozenset[tuple[str, int]]:
+    def parts(self) -> frozenset[tuple[NumberKind, int]]:
         """Kind and joint of each group."""
-        return frozenset((group.kind, group.joint) for group in self.groups)
+        return frozenset(group.key for group in self.groups)
 
     @property
     def along_groups(self) -> Fit:
@@ -66,10 +66,10 @@ def release(
     search.
     """
     pool = [group for group in groups_of(dataset) if links or not group.moves_links]
-    pool = pool if kinds is None else [group for group in pool if group.kind in (*kinds, DELAY)]
+    pool = pool if kinds is None else [group for group in pool if group.kind in (*kinds, NumberKind.DELAY)]
     if dataset.servos is not None:
         return _with_released(dataset, stepwise_groups(dataset, pool, causes))
-    chosen: list[Group] = []
+    chosen: list[NumberGroup] = []
     fit = dataset.fit.with_chosen(causes)
     least = LIMITS.least_gain * float(fit.count.sum())
     while pool:
@@ -88,7 +88,7 @@ def release(
     return _with_released(dataset, chosen)
 
 
-def stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Candidate]) -> list[Group]:
+def stepwise_groups(dataset: Dataset, pool: Sequence[NumberGroup], causes: Sequence[Candidate]) -> list[NumberGroup]:
     """Groups of which none can go back to the file's numbers, and to which none can be added (stepwise selection).
 
     Each number has to gain: a link has ten, and links together only scale all else. From all groups on, many gains may
@@ -98,15 +98,15 @@ def stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Ca
     """
     place, end, columns = dict[tuple[str, int], np.ndarray](), 0, [np.zeros((len(dataset.stored_covariance), 0))]
     for group in pool:
-        place[group.kind, group.joint] = np.arange(end, end := end + group.directions.shape[1])
+        place[group.key] = np.arange(end, end := end + group.directions.shape[1])
         columns.append(group.directions)
     fit = dataset.fit.along(np.hstack(columns)).with_chosen(causes)
     least, effects = LIMITS.least_gain * float(fit.count.sum()), np.arange(end, fit.size)
     parts = [(fit.gram[fold.train].sum(axis=0), fit.gram[fold.test].sum(axis=0)) for fold in fit.folds]
     moments = [(train / fit.rows_per_independent, test) for train, test in parts]
 
-    def error(groups: Sequence[Group]) -> float:
-        moving = np.concatenate([*(place[group.kind, group.joint] for group in groups), effects])
+    def error(groups: Sequence[NumberGroup]) -> float:
+        moving = np.concatenate([*(place[group.key] for group in groups), effects])
         total, square, judged = 0.0, np.ix_(moving, moving), np.append(moving, fit.size)
         for train, test in moments:
             matrix = train[square] + fit.prior[square]
@@ -116,10 +116,14 @@ def stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Ca
             total += float(extended @ test[np.ix_(judged, judged)] @ extended)
         return total + least * (len(moving) - len(effects))
 
-    def stepwise(chosen: list[Group]) -> tuple[float, list[Group]]:
+    def stepwise(chosen: list[NumberGroup]) -> tuple[float, list[NumberGroup]]:
         best = error(chosen)
         while True:
-            fewer = [[g for g in chosen if g is not dropped] for dropped in reversed(chosen) if dropped.kind != DELAY]
+            fewer = [
+                [g for g in chosen if g is not dropped]
+                for dropped in reversed(chosen)
+                if dropped.kind != NumberKind.DELAY
+            ]
             more = [[*chosen, added] for added in pool if added not in chosen]
             errors = [error(groups) for groups in (*fewer, *more)]
             step = int(np.argmin(errors)) if errors else 0
@@ -127,13 +131,13 @@ def stepwise_groups(dataset: Dataset, pool: Sequence[Group], causes: Sequence[Ca
                 return best, chosen
             best, chosen = errors[step], (*fewer, *more)[step]
 
-    starts = [list(pool), [group for group in pool if group.kind == DELAY]]
+    starts = [list(pool), [group for group in pool if group.kind == NumberKind.DELAY]]
     best, chosen = min(map(stepwise, starts), key=lambda entry: entry[0])
-    for gain in (group for group in pool if group.kind == GAIN and group not in chosen):
-        others = [g for g in chosen if g.joint != gain.joint or g.kind not in (FileNumbers.FRICTION, "rotor inertia")]
+    for gain in (group for group in pool if group.kind == NumberKind.GAIN and group not in chosen):
+        others = [g for g in chosen if g.joint != gain.joint or g.kind not in (NumberKind.FRICTION, NumberKind.ROTOR)]
         if len(others) < len(chosen) - 1 and (swapped := error([*others, gain])) < best:
             chosen, best = [*others, gain], swapped
-    ordered: list[Group] = []
+    ordered: list[NumberGroup] = []
     while chosen:  # the one that leaves least next to those before it: a delay alone may leave more than the file
         ordered.append(min(chosen, key=lambda group: error([*ordered, group])))
         chosen = [group for group in chosen if group is not ordered[-1]]
@@ -145,7 +149,7 @@ def release_all(dataset: Dataset) -> ReleasedSimulator:
     return _with_released(dataset, groups_of(dataset))
 
 
-def _with_released(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulator:
+def _with_released(dataset: Dataset, groups: Sequence[NumberGroup]) -> ReleasedSimulator:
     fit = released_fit(dataset, groups) if groups else dataset.fit
     unexplained = fit.held_out()
     residual = np.where(np.isnan(unexplained), dataset.residual, unexplained)
@@ -155,13 +159,13 @@ def _with_released(dataset: Dataset, groups: Sequence[Group]) -> ReleasedSimulat
     return replace(released, moved=replace(released.moved, fit=fit.with_reference(NominalModel(released.model))))
 
 
-def released_fit(dataset: Dataset, groups: Sequence[Group]) -> Fit:
+def released_fit(dataset: Dataset, groups: Sequence[NumberGroup]) -> Fit:
     """The rows with groups of numbers released."""
     covariance = dataset.stored_covariance + sum(group.directions @ group.directions.T for group in groups)
     return dataset.fit.with_prior(precision_of(covariance))
 
 
-def gained_parameters(released: ReleasedSimulator, group: Group) -> dict[str, float]:
+def gained_parameters(released: ReleasedSimulator, group: NumberGroup) -> dict[str, float]:
     """What the last link gained, as parameters of a load; empty of a link whose mass gained less than its prior
     deviation, and of others."""
     given = released.given
@@ -171,23 +175,25 @@ def gained_parameters(released: ReleasedSimulator, group: Group) -> dict[str, fl
     start = next(k for k, column in enumerate(directions.T) if np.array_equal(column, group.directions[:, 0]))
     coefficients = np.linalg.lstsq(directions, released.moved.fit.change, rcond=1e-9)[0][start:]
     names = ("mass", *(f"moment_{k}" for k in "xyz"), *(f"inertia_{k}" for k in ("xx", "xy", "yy", "xz", "yz", "zz")))
-    if group.kind == LOAD and given.servos is not None:
+    if group.kind == NumberKind.LOAD and given.servos is not None:
         return dict(zip(names, map(float, given.servos.prior.load @ coefficients[:4]), strict=True))
     prior_std = given.fit.reference.prior_std[ParameterLayout.of(given.robot).link(group.joint)]
     gained = coefficients[:10] * prior_std
     return dict(zip(names, map(float, gained), strict=True)) if gained[0] > prior_std[0] else {}
 
 
-def delay_of(released: ReleasedSimulator, change: np.ndarray, group: Group) -> float:
+def delay_of(released: ReleasedSimulator, change: np.ndarray, group: NumberGroup) -> float:
     """The delay [s] of the joint of a group, by which a change (p,) differs from the file, or that of the arm."""
     assert released.given.servos is not None
     late = change[released.given.servos.layout.delay]
-    own = [other.joint for other in released.groups if other.kind == OWN_DELAY]
+    own = [other.joint for other in released.groups if other.kind == NumberKind.OWN_DELAY]
     of_arm = np.setdiff1d(np.arange(len(late)), own)
     return float(late[group.joint] if group.joint >= 0 else late[of_arm].mean() if len(of_arm) else late.mean())
 
 
 def gained_load(released: ReleasedSimulator) -> np.ndarray:
     """(10,) parameters that the last link gains by a load of positions."""
-    loads = [list(gained_parameters(released, group).values()) for group in released.groups if group.kind == LOAD]
+    loads = [
+        list(gained_parameters(released, group).values()) for group in released.groups if group.kind == NumberKind.LOAD
+    ]
     return np.array(loads[0]) if loads else np.zeros(10)

@@ -14,7 +14,7 @@ from agent.diagnosis.hypotheses.law import LAW
 from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.rows.dataset import Dataset
 from agent.diagnosis.simulator_file.explanation import Explanation
-from agent.diagnosis.simulator_file.parameter_groups import DELAY, GAIN, OFFSET, Group, drive_groups
+from agent.diagnosis.simulator_file.parameter_groups import NumberGroup, NumberKind, drive_groups
 from agent.diagnosis.simulator_file.released_numbers import released_fit
 from agent.diagnosis.sizes import jackknife
 from agent.model import CATALOGUE, FileNumbers
@@ -24,10 +24,10 @@ from agent.simulators import KINDS, ServoNumbers
 SERVO_NUMBERS = ("kp", "damping", "armature", "friction", "delay_s", "offset")
 #: Those of a cause, by what the cause changes in a file; of a gain that positions do not tell, all that it scales.
 _NUMBERS_OF: dict[FileNumbers | None, tuple[str, ...]] = {
-    GAIN: ("kp",),
+    FileNumbers.GAIN: ("kp",),
     FileNumbers.FRICTION: ("damping", "friction"),
-    DELAY: ("delay",),
-    OFFSET: ("offset",),
+    FileNumbers.DELAY: ("delay",),
+    FileNumbers.OFFSET: ("offset",),
 }
 _LEAST_GAIN = 1e-9  # numerical: N·m/rad
 _RATIOS = ("damping", "armature", "friction")
@@ -154,7 +154,7 @@ def differing_causes(explanation: Explanation, causes: Sequence[Cause]) -> list[
         for joint in map(names.index, cause.joints or names):
             open_gain = joint in doubtful
             holding = (ratios_agree if open_gain else agree)[:, joint]
-            of_joint = _RATIOS if open_gain and numbers == GAIN else kinds
+            of_joint = _RATIOS if open_gain and numbers == FileNumbers.GAIN else kinds
             known += [bool(holding[KINDS.index(kind)]) for kind in of_joint]
         return not known or not all(known)
 
@@ -170,17 +170,17 @@ def _whole_torque(dataset: Dataset) -> np.ndarray:
     """(7, n) of each number what would take all of its joint's torque; of a delay nothing."""
     whole = ServoNumbers.of_table(np.zeros((len(KINDS), dataset.robot.dof)))
     for group in drive_groups(dataset):
-        if group.kind == FileNumbers.FRICTION:
+        if group.kind == NumberKind.FRICTION:
             whole.friction[group.joint], whole.damping[group.joint] = group.scale
-        elif group.kind == GAIN:
+        elif group.kind == NumberKind.GAIN:
             whole.kp[group.joint] = group.scale[0]
-        elif group.kind == "rotor inertia":
+        elif group.kind == NumberKind.ROTOR:
             whole.armature[group.joint] = group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
     assert dataset.servos is not None
     return replace(whole, offset=dataset.servos.prior.offset).table
 
 
-def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray) -> ServoNumbers:
+def servo_numbers(dataset: Dataset, groups: Sequence[NumberGroup], change: np.ndarray) -> ServoNumbers:
     """Those of the file, moved by a change (p,)."""
     servos = dataset.servos
     assert servos is not None
@@ -188,7 +188,7 @@ def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray)
     coefficients = _inverse(groups) @ change if groups else np.zeros(0)
     at = 0
     for group in groups:
-        if group.kind == "rotor inertia":
+        if group.kind == NumberKind.ROTOR:
             moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
         at += group.directions.shape[1]
     moved_by_kind = {kind: change[place] for kind, place in servos.layout.of_numbers.items()}
@@ -197,7 +197,7 @@ def servo_numbers(dataset: Dataset, groups: Sequence[Group], change: np.ndarray)
 
 def _deviations(
     dataset: Dataset,
-    groups: Sequence[Group],
+    groups: Sequence[NumberGroup],
     covariance: np.ndarray,
     free: np.ndarray,
     form: Callable[[np.ndarray], np.ndarray],
@@ -215,7 +215,7 @@ def _deviations(
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)).reshape(free.shape))
 
 
-def _inverse(groups: Sequence[Group]) -> np.ndarray:
+def _inverse(groups: Sequence[NumberGroup]) -> np.ndarray:
     """(k, p) coefficients of the groups' directions in a change of the parameters."""
     directions = np.hstack([group.directions for group in groups])
     size = np.sqrt(np.sum(directions**2, axis=1))
