@@ -15,7 +15,7 @@ _MOST_ASKED = 8  # pairs where no effect explains the gap, and effects that are 
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class Alternative:
     """One of two that are open: an effect with its form and parameters (k,); no form: nothing beyond the model."""
 
     effect: str
@@ -38,8 +38,8 @@ class Side:
 class OpenPair:
     """Two that the logs do not distinguish, and the effects that are there whichever of them is true."""
 
-    first: Side
-    second: Side
+    first: Alternative
+    second: Alternative
     shared: tuple[Candidate, ...] = ()
 
     @property
@@ -66,7 +66,7 @@ def _rivals(diagnosis: Diagnosis) -> Iterator[OpenPair]:
     for number, (cause, rivals) in enumerate(zip(selected.causes, selected.rivals, strict=True)):
         shared = tuple(c for k, c in enumerate(selected.causes) if k != number)
         forms = [cause, *(form for key in rivals if (form := _leading_form(diagnosis, key)) is not None)]
-        for first, second in combinations([_side(diagnosis, form, shared) for form in forms], 2):
+        for first, second in combinations([_alternative(diagnosis, form, shared) for form in forms], 2):
             yield OpenPair(first, second, shared)
 
 
@@ -76,24 +76,24 @@ def _leading_form(diagnosis: Diagnosis, key: EffectKey) -> Candidate | None:
     return next(forms, None)
 
 
-def _side(diagnosis: Diagnosis, form: Candidate, shared: Sequence[Candidate]) -> Side:
+def _alternative(diagnosis: Diagnosis, form: Candidate, shared: Sequence[Candidate]) -> Alternative:
     values = diagnosis.dataset.fit.with_chosen((*shared, form)).values[-1]
     names = diagnosis.dataset.robot.joint_names
-    return Side(form.effect.name, tuple(names[k] for k in form.joints), form, values)
+    return Alternative(form.effect.name, tuple(names[k] for k in form.joints), form, values)
 
 
 def _leading(diagnosis: Diagnosis) -> Iterator[OpenPair]:
     ordered = sorted(diagnosis.selected.hypotheses, key=lambda h: -h.log_bayes_factor)
     singles = [h.effects[0] for h in ordered if len(h.effects) == 1]
     if singles:
-        leader = _side(diagnosis, singles[0], ())
-        yield from (OpenPair(leader, _side(diagnosis, form, ())) for form in singles[1:])
+        leader = _alternative(diagnosis, singles[0], ())
+        yield from (OpenPair(leader, _alternative(diagnosis, form, ())) for form in singles[1:])
 
 
 def _untested(diagnosis: Diagnosis) -> Iterator[OpenPair]:
     fit, robot = diagnosis.dataset.fit, diagnosis.dataset.robot
     names = robot.joint_names
-    nothing = Side("none", (), None, np.empty(0))
+    nothing = Alternative("none", (), None, np.empty(0))
     for entry in diagnosis.document.not_testable:
         effect = CATALOGUE[entry.effect]
         joints = () if entry.joint is None else tuple(names.index(name) for name in entry.joint.split(", "))
@@ -102,4 +102,4 @@ def _untested(diagnosis: Diagnosis) -> Iterator[OpenPair]:
         if not (settings := effect.settings(fit, joints)):
             continue
         (form,) = fit.candidates([(effect, joints, settings[0])])
-        yield OpenPair(Side(effect.name, tuple(names[k] for k in joints), form, np.empty(0)), nothing)
+        yield OpenPair(Alternative(effect.name, tuple(names[k] for k in joints), form, np.empty(0)), nothing)

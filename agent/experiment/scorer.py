@@ -35,7 +35,7 @@ from agent.diagnosis import (
     smooth_columns,
 )
 from agent.experiment.pieces import GridMotion
-from agent.experiment.questions import OpenPair, Side
+from agent.experiment.questions import Alternative, OpenPair
 from agent.model import MotionSignals, NominalModel
 from agent.robot import Tool
 
@@ -116,7 +116,7 @@ class ExperimentScorer:
             blocks.append(np.nan_to_num(block))
         return np.concatenate(blocks, axis=2) if blocks else np.zeros((*motion.q.shape, 0))
 
-    def energy(self, gain: InformationGain, side: Side) -> float:
+    def energy(self, gain: InformationGain, side: Alternative) -> float:
         """Information that motions have of a side's own size."""
         assert side.form is not None
         columns = self._columns_of_form[side.form]
@@ -137,7 +137,7 @@ class ExperimentScorer:
             ]
         )
 
-    def _expected(self, added: InformationGain, pair: OpenPair, true: Side, rival: Side) -> float:
+    def _expected(self, added: InformationGain, pair: OpenPair, true: Alternative, rival: Alternative) -> float:
         if true.form is None:
             return float("nan")
         whole, model = self._known + added.information, len(self.dataset.fit.precision)

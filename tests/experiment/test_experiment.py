@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 from agent.diagnosis import MotionCoverage, diagnose
 from agent.experiment import Deadline, d_optimal, open_pairs, plan_experiment
 from agent.experiment.pieces import GridMotion, Pieces
-from agent.experiment.questions import OpenPair, Side
+from agent.experiment.questions import Alternative, OpenPair
 from agent.experiment.scorer import ExperimentScorer, noise_level_on
 from agent.model import CATALOGUE, MotionSignals
 from agent.robot import kinematics_for
@@ -19,7 +19,7 @@ from fake_controller.plant import Plant
 from tests.experiment.examples import one_sided, wave
 from tests.small_arms import learn, record
 
-NOTHING = Side("none", (), None, np.empty(0))
+NOTHING = Alternative("none", (), None, np.empty(0))
 SIDES = {"asymmetric_friction", "torque_offset"}
 
 
@@ -146,7 +146,7 @@ def test_does_not_predict_a_separation_for_too_short_a_travel(arm, ambiguous):
     for name, scale in (("gravity_spring", 100.0), ("torque_offset", 100.0)):
         candidate = fit.candidates([(CATALOGUE[name], (1,), CATALOGUE[name].settings(fit, (1,))[0])])[0]
         values = np.full(len(candidate.names), scale)
-        sides.append(Side(name, ("joint_2",), candidate, values))
+        sides.append(Alternative(name, ("joint_2",), candidate, values))
     scorer = scorer_of(ambiguous, [OpenPair(*sides), OpenPair(sides[0], NOTHING)])
     wide = scorer.information_of(wave(arm, [0.4, 0.4], 8.0))
     assert scorer.chances(wide)[0, 0] > 0.5

@@ -8,7 +8,7 @@ import pytest
 from agent.core import InputError
 from agent.diagnosis import diagnose
 from agent.experiment.pieces import GridMotion
-from agent.experiment.questions import OpenPair, Side
+from agent.experiment.questions import Alternative, OpenPair
 from agent.experiment.scorer import ExperimentScorer
 from agent.model import CATALOGUE, PAYLOAD, NominalModel, carrying, payload_of, payload_text
 from agent.robot import Dynamics
@@ -40,7 +40,7 @@ def evidence(found, truth, rival, motion: GridMotion, payload=None) -> float:
     fit, sides = found.dataset.fit, []
     for name, joint, settings, values in (truth, rival):
         (candidate,) = fit.candidates([(CATALOGUE[name], (joint,), settings)])
-        sides.append(Side(name, (f"joint_{joint + 1}",), candidate, np.asarray(values, dtype=float)))
+        sides.append(Alternative(name, (f"joint_{joint + 1}",), candidate, np.asarray(values, dtype=float)))
     scorer = ExperimentScorer(found.dataset, found.selected.evidence, [OpenPair(*sides)], payload)
     after, before = (scorer.evidence(told)[0, 0] for told in (scorer.information_of(motion), scorer.nothing))
     return float(after - before)

@@ -14,7 +14,7 @@ from agent.diagnosis.hypotheses.search import Search
 from agent.experiment import NextMotion, known_mass, load_distinguishes, open_pairs
 from agent.experiment.known_mass import plan_with_mass
 from agent.experiment.pieces import GridMotion
-from agent.experiment.questions import OpenPair, Side
+from agent.experiment.questions import Alternative, OpenPair
 from agent.motion.pdl2.dialect import Pdl2
 from agent.pages.diagnosis.summary import planned_section
 from agent.pages.elements import Page, render
@@ -152,5 +152,5 @@ def test_a_load_separates_load_dependent_friction_from_other_friction():
     sides = []
     for name in ("friction_change", "viscous_nonlinearity"):
         form, *_ = next(Search(found.dataset.fit, only={(name, (1,))}).candidates())
-        sides.append(Side(name, ("joint_2",), form, np.ones(len(form.names))))
+        sides.append(Alternative(name, ("joint_2",), form, np.ones(len(form.names))))
     assert not load_distinguishes(found.dataset, found.selected.evidence, [OpenPair(*sides)], [motion], load)

@@ -73,7 +73,7 @@ class MovedNumbers:
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
+class FreeParameters:
     """Which of the `MovedNumbers` are free, and which move together.
 
     `basis` (7 n + 5, p) of their change, `scale` (7 n + 5,) how far each may usually move; `one_delay` of the arm, or
@@ -88,7 +88,7 @@ class Parameters:
     @classmethod
     def create(
         cls, scale: np.ndarray, fixed: Sequence[str] = (), one_delay: bool = True, load: bool = False
-    ) -> Parameters:
+    ) -> FreeParameters:
         """All numbers but kinds that are `fixed`, and the cut; one delay of the arm, or one a joint; a `load`."""
         servos = len(scale) - 1 - _LOAD
         eye = np.eye(len(scale))[:, : None if load else servos + 1]
@@ -112,7 +112,7 @@ class OutputErrorProblem:
     simulator: FreeSimulator
     reference: NominalModel
     stretches: tuple[CommandedStretch, ...]
-    parameters: Parameters
+    parameters: FreeParameters
 
     def cut(self, numbers: MovedNumbers) -> tuple[CommandedStretch, ...]:
         """The stretches, their commands cut as the numbers say where they were cut."""
@@ -144,7 +144,7 @@ class OutputErrorFit:
 
     simulator: FreeSimulator
     reference: NominalModel
-    parameters: Parameters
+    parameters: FreeParameters
     numbers: ServoNumbers
     stretches: tuple[CommandedStretch, ...]
     motions: tuple[LinearisedMotion, ...]

@@ -20,9 +20,9 @@ from agent.diagnosis.limits import LIMITS
 from agent.diagnosis.position_logs.fitting import (
     EXTRA,
     LOAD_NUMBERS,
+    FreeParameters,
     OutputErrorFit,
     OutputErrorProblem,
-    Parameters,
     fit_output_error,
     missed,
     usual_scale,
@@ -124,7 +124,7 @@ def _fitted(
     by_equation = numbers_by_equation(reference, file, stretches)
     free = free_of_contacts(free, (file, by_equation), stretches)
     fixed = ("kp", *EXTRA) if known_kp else EXTRA
-    parameters = Parameters.create(usual_scale(reference, file, stretches).vector, fixed)
+    parameters = FreeParameters.create(usual_scale(reference, file, stretches).vector, fixed)
     bare = _bare(OutputErrorProblem(free, reference, stretches, parameters), by_equation, progress)
     best = _with_cut_commands(bare, _settled(_simplest(bare, progress, known_kp), progress), progress, known_kp)
     return (best, "", 0.0) if len(ways) == 1 else _hold_of_commands(best, logs, settling, progress)
@@ -132,7 +132,7 @@ def _fitted(
 
 def _bare(problem: OutputErrorProblem, by_equation: ServoNumbers, progress: Callable[[str], None]) -> OutputErrorFit:
     """The fit from the file's numbers on, or from those of the joints' equations where these are nearer."""
-    arm, rough = problem.simulator, Parameters.create(problem.parameters.scale, fixed=("kp", *EXTRA))
+    arm, rough = problem.simulator, FreeParameters.create(problem.parameters.scale, fixed=("kp", *EXTRA))
     start = fit_output_error(replace(problem, parameters=rough), arm.numbers, progress, _ROUGH).numbers
     start = min((start, by_equation), key=lambda numbers: error_of(arm, numbers, problem.stretches))
     return fit_output_error(problem, start, progress)
@@ -146,12 +146,12 @@ def _with_cut_commands(
         if (nearest := _nearest(bare, numbers)) == np.inf:
             continue
         problem = replace(bare.problem, stretches=tuple(stretch.cut(nearest) for stretch in bare.stretches))
-        again = fit_output_error(problem, numbers, progress)
-        if _gains(bare, again).sum() <= _by_chance(1):
+        refitted = fit_output_error(problem, numbers, progress)
+        if _gains(bare, refitted).sum() <= _by_chance(1):
             continue
         start = replace(uncut, stretches=problem.stretches)
         if uncut.load.any():  # a load imitates a cut
-            start = _simplest(again, progress, known_kp)
+            start = _simplest(refitted, progress, known_kp)
         cut = _settled(start, progress)
         believed = cut.stretches[0].nearest >= _nearest_cut(bare.stretches)
         if believed and _gains(uncut, cut).sum() > _by_chance(1):
@@ -198,7 +198,7 @@ def _simplest(fit: OutputErrorFit, progress: Callable[[str], None], known_kp: bo
 
     def fitted(start: OutputErrorFit, numbers: ServoNumbers, free: Sequence[str], **how: float) -> OutputErrorFit:
         fixed = [kind for kind in ("kp", *EXTRA) if kind not in free]
-        parameters = Parameters.create(scale, fixed, "delay" not in free, "load" in free)
+        parameters = FreeParameters.create(scale, fixed, "delay" not in free, "load" in free)
         of_start = replace(start.problem, parameters=parameters)
         return fit_output_error(of_start, numbers, progress, load=start.load, **how)
 

@@ -131,10 +131,10 @@ def _right(diagnosis: Diagnosis, first: _Side, second: _Side, information: np.nd
         true[:p] = span @ np.linalg.lstsq(span, diagnosis.released.moved.fit.change, rcond=1e-9)[0]
     elif first.values is not None:
         true[p : p + place[first]] = first.values
-    own = {group.key for group in first.groups}
+    first_keys = {group.key for group in first.groups}
     drives = [group for group in groups_of(diagnosis.released.given) if not group.moves_links]
     for group in {g.key: g for g in (*drives, *second.groups)}.values():
-        if group.key not in own:
+        if group.key not in first_keys:
             columns.append(np.vstack([group.directions, np.zeros((size - p, group.directions.shape[1]))]))
             prior += [1.0] * group.directions.shape[1]
     if second.form is not None:

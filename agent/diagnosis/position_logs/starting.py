@@ -69,7 +69,8 @@ def numbers_by_equation(
             determined = ratios[:, 0] > 0
             kp = np.where(determined, 1 / np.where(determined, ratios[:, 0], 1.0), file.kp)
             damping, friction = (
-                np.where(determined, ratios[:, k] * kp, own) for k, own in ((1, file.damping), (2, file.friction))
+                np.where(determined, ratios[:, k] * kp, of_file)
+                for k, of_file in ((1, file.damping), (2, file.friction))
             )
             best = error
             numbers = replace(file, damping=damping, friction=friction, kp=kp, delay=np.full(n, delay))

@@ -124,9 +124,9 @@ class LinearisedMotion:
         m, servos, n = self.motion, simulator.servos, self.motion.q.shape[1]
         free = ~m.limited
         edges = _around(m.time)
-        early, late = (self.stretch.command.between(edges, numbers.delay + sign * _LATER) for sign in (-1, 1))
+        earlier, later = (self.stretch.command.between(edges, numbers.delay + sign * _LATER) for sign in (-1, 1))
         asked = np.clip(m.command, servos.least, servos.most)
-        by_delay = numbers.kp * (early - late) / (2 * _LATER) * free
+        by_delay = numbers.kp * (earlier - later) / (2 * _LATER) * free
         by_kp, by_offset = -(asked + numbers.offset - m.q) * free, -numbers.kp * free
         turned = m.q - simulator.arm.rest
         parts = (m.qdd, m.qd, np.sign(m.qd) * ~m.stuck, by_kp, turned, by_delay, by_offset)
@@ -202,9 +202,9 @@ def stretches_of(logs: Sequence[Log], held: bool, settling: float = 0.0) -> tupl
     stretches = []
     for index, log in enumerate(logs):
         r = _set_points(log)
-        known = np.all(np.isfinite(r), axis=1)
+        complete = np.all(np.isfinite(r), axis=1)
         for start, stop in log.segments:
-            rows = np.flatnonzero(known[start:stop]) + start
+            rows = np.flatnonzero(complete[start:stop]) + start
             if len(rows) < LIMITS.min_samples or len(rows) < stop - start - 2:
                 continue
             t, q = log.t[rows], log.position[rows]
@@ -231,17 +231,17 @@ def _set_points(log: Log) -> np.ndarray:
             f"{log.path}: neither torque (effort) nor set-points (/joint_references) were recorded: one of them is "
             "needed, torque as current times torque constant, or set-points for the servos of the simulator's file"
         )
-    known = np.all(np.isfinite(r), axis=1)
+    complete = np.all(np.isfinite(r), axis=1)
     names, moving = np.array(log.joint_names), np.ptp(q, axis=0) > LIMITS.least_travel
-    if not known.any():
+    if not complete.any():
         raise InputError(f"{log.path}: no sample has a set-point at its stamp; record them on the positions' stamps")
-    copied = moving & np.all(r[known] == q[known], axis=0)
+    copied = moving & np.all(r[complete] == q[complete], axis=0)
     if copied.any():
         raise InputError(
             f"{log.path}: the set-points of {', '.join(names[copied])} are the measured positions themselves, so they "
             "say nothing about the servo: record what was commanded"
         )
-    lag = np.median(np.abs(r - q)[known], axis=0)
+    lag = np.median(np.abs(r - q)[complete], axis=0)
     if np.any(lag > _FAR):
         k = int(np.argmax(lag))
         raise InputError(

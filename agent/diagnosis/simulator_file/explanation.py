@@ -195,8 +195,8 @@ def explain_rows(dataset: Dataset, without: Sequence[str], progress: Callable[[s
         pair = [search(others), *([search(everything)] if everything.parts != others.parts else [])]
         least = min(entry.remaining_error for entry in pair)
         most = least if dataset.servos is not None else least + enough  # of positions nearly all of the gap is delay
-        alike = (entry for entry in pair if entry.remaining_error <= most)
-        searches.append(min(alike, key=lambda entry: (len(entry.selected.causes), entry.remaining_error)))
+        close = (entry for entry in pair if entry.remaining_error <= most)
+        searches.append(min(close, key=lambda entry: (len(entry.selected.causes), entry.remaining_error)))
     best = min(entry.remaining_error for entry in searches)
     single = [
         k for k, entry in enumerate(searches[:-1]) if entry.selected.causes and (k or len(entry.selected.causes) == 1)
@@ -290,8 +290,8 @@ def _possible(given: IdentifiedModel, fit: Fit, number: int) -> bool:
     values = dict(zip(candidate.names, map(float, effects[number]), strict=True))
     base = len(given.independent)
     before, level = fit.reference.model.values[base:], (given.values + change[: len(given.values)])[base:]
-    own = [k for k, term in enumerate(given.terms) if term.axle in candidate.joints]
-    drives = all(level[k] >= -BELOW_ZERO * abs(before[k]) for k in own)
+    of_joints = [k for k, term in enumerate(given.terms) if term.axle in candidate.joints]
+    drives = all(level[k] >= -BELOW_ZERO * abs(before[k]) for k in of_joints)
     sized = all(values[name] > 0 for name in candidate.effect.sizes)
     return drives and sized and candidate.effect.plausible(candidate.settings, values)
 

@@ -74,9 +74,11 @@ def _as_effects(released: ReleasedSimulator, group: NumberGroup) -> list[tuple[s
     if group.moves_links:
         return [(NAMES[FileNumbers.LOAD], gained_parameters(released, group))]
     if group.kind == NumberKind.FRICTION:
-        own = [k for k, term in enumerate(model.terms) if term.axle == group.joint]
+        terms = [k for k, term in enumerate(model.terms) if term.axle == group.joint]
         base = len(model.independent)
-        return [(NAMES[FileNumbers.FRICTION], {f"{model.terms[k].form}_change": float(change[base + k]) for k in own})]
+        return [
+            (NAMES[FileNumbers.FRICTION], {f"{model.terms[k].form}_change": float(change[base + k]) for k in terms})
+        ]
     assert servos is not None
     if group.kind == NumberKind.SPRING:
         springs = springs_as_effects(released.given, [group], change)
@@ -115,9 +117,9 @@ def _links(released: ReleasedSimulator) -> dict[str, float]:
     """Changes of base parameters by more than chance, what makes most of the torque first."""
     model, base = released.given.model, len(released.given.model.independent)
     change = released.moved.fit.change[:base]
-    known = np.abs(change) > LIMITS.significant_deviations * model.standard_deviations[:base]
+    significant = np.abs(change) > LIMITS.significant_deviations * model.standard_deviations[:base]
     torque = change**2 * np.diagonal(released.given.fit.gram.sum(axis=0))[:base]
-    return {model.names[k]: float(change[k]) for k in np.argsort(-torque) if known[k]}
+    return {model.names[k]: float(change[k]) for k in np.argsort(-torque) if significant[k]}
 
 
 def springs_as_effects(dataset: Dataset, groups: Sequence[NumberGroup], change: np.ndarray) -> list[ModelEffect]:
@@ -148,22 +150,22 @@ def _groups_that_cause(
     if released.given.servos is None:
         return list(released.groups)
     fit, causing = released.given.fit, list[NumberGroup]()
-    late = [group for group in released.groups if group.kind == NumberKind.DELAY]
-    for of_arm in filter(None, (late, [group for group in released.groups if group.moves_links])):
+    delays = [group for group in released.groups if group.kind == NumberKind.DELAY]
+    for of_arm in filter(None, (delays, [group for group in released.groups if group.moves_links])):
         without = rms(gap.beyond(_without(released, of_arm, causes)))
         closed = (without**2 - gap.rmse_after**2) / fit.sigma.min(axis=0) ** 2
         if fit.beyond_usual(without).any() and int(np.argmax(closed)) not in joints_with_remainder:
             causing += of_arm
     for joint in sorted(set(range(len(fit.rows))) - set(joints_with_remainder)):
-        own = [group for group in released.groups if group.joint == joint and not group.moves_links]
+        of_joint = [group for group in released.groups if group.joint == joint and not group.moves_links]
         spared: list[NumberGroup] = []
-        while own:  # of numbers that stand in for each other one has to be wrong, not all
-            errors = [rms(gap.beyond(_without(released, [*spared, group], causes))) for group in own]
-            least = min(range(len(own)), key=lambda k: float(errors[k][joint]))
+        while of_joint:  # of numbers that stand in for each other one has to be wrong, not all
+            errors = [rms(gap.beyond(_without(released, [*spared, group], causes))) for group in of_joint]
+            least = min(range(len(of_joint)), key=lambda k: float(errors[k][joint]))
             if fit.beyond_usual(errors[least])[joint]:
                 break
-            spared.append(own.pop(least))
-        causing += own
+            spared.append(of_joint.pop(least))
+        causing += of_joint
     return [group for group in released.groups if any(group is other for other in causing)]
 
 
@@ -203,21 +205,21 @@ def _like_offset(
     fit = released_fit(released.given, others)
     with_zero = fit.with_chosen((*causes, *fit.candidates([(zero, (joint,), {})])))
     loaded = released_fit(released.given, [*others, *loads]).with_chosen(causes)
-    alike = [
+    effects = [
         NamedEffect(name, (names[joint],)) for name in CATALOGUE[NAMES[FileNumbers.OFFSET]].structurally_equivalent
     ]
-    alike += [NamedEffect(zero.name, (names[joint],))] if as_little(with_zero) else []
-    alike += [NamedEffect(NAMES[FileNumbers.LOAD], ())] if loads and as_little(loaded) else []
-    return tuple(alike)
+    effects += [NamedEffect(zero.name, (names[joint],))] if as_little(with_zero) else []
+    effects += [NamedEffect(NAMES[FileNumbers.LOAD], ())] if loads and as_little(loaded) else []
+    return tuple(effects)
 
 
 def _may_be_load(released: ReleasedSimulator, causes: Sequence[Candidate], gap: HeldOutGap) -> bool:
     """Whether gains of several servos at once may be a load that all of them carry, as it leaves as little instead."""
     if sum(group.kind == NumberKind.GAIN for group in released.groups) < 2 or released.given.servos is None:
         return False
-    known = released.parts
+    moved = released.parts
     pool = [group for group in groups_of(released.given) if group.kind not in (NumberKind.GAIN, NumberKind.LINK)]
-    pool = [group for group in pool if group.kind != NumberKind.OFFSET or group.key in known]
+    pool = [group for group in pool if group.kind != NumberKind.OFFSET or group.key in moved]
     fit = released_fit(released.given, stepwise_groups(released.given, pool, causes)).with_chosen(causes)
     error = rms(gap.beyond(fit.held_out())) / gap.unit
     return bool((1 - LIMITS.least_share) * np.mean(error**2) <= np.mean(gap.after**2))

@@ -85,13 +85,13 @@ def groups_of(dataset: Dataset) -> list[NumberGroup]:
     rotors: list[NumberGroup] = []
     links: list[NumberGroup] = []
     for joint in range(dataset.robot.dof):
-        own = [k for k, term in enumerate(model.terms) if term.axle == joint]
-        columns = np.zeros((size, len(own)))
-        for column, k in enumerate(own):
+        terms = [k for k, term in enumerate(model.terms) if term.axle == joint]
+        columns = np.zeros((size, len(terms)))
+        for column, k in enumerate(terms):
             level = torque[joint] if model.terms[k].form == "coulomb" else torque[joint] / speed[joint]
             columns[base + k, column] = level
         friction.append(
-            NumberGroup(NumberKind.FRICTION, joint, columns, columns[[base + k for k in own], range(len(own))])
+            NumberGroup(NumberKind.FRICTION, joint, columns, columns[[base + k for k in terms], range(len(terms))])
         )
         for kind, place, groups in (
             (NumberKind.ROTOR, slice(layout.rotors.start + joint, layout.rotors.start + joint + 1), rotors),
@@ -121,15 +121,15 @@ def _of_servos(dataset: Dataset) -> list[NumberGroup]:
     if (servos := dataset.servos) is None:
         return []
     layout, prior = servos.layout, servos.prior
-    late = np.zeros((layout.size, 2 if prior.cut else 1))
-    late[layout.delay, 0] = prior.delay
-    late[layout.cut, 1:] = prior.cut
+    delays = np.zeros((layout.size, 2 if prior.cut else 1))
+    delays[layout.delay, 0] = prior.delay
+    delays[layout.cut, 1:] = prior.cut
     own_delays = np.full(len(servos.file.kp), prior.delay)
     return [
         *([] if prior.kp_known else _one_by_one(NumberKind.GAIN, layout, layout.kp, servos.file.kp)),
         *_offsets(dataset),
         *([] if prior.spring is None else _one_by_one(NumberKind.SPRING, layout, layout.stiffness, prior.spring)),
-        NumberGroup(NumberKind.DELAY, -1, late, np.ones(late.shape[1])),
+        NumberGroup(NumberKind.DELAY, -1, delays, np.ones(delays.shape[1])),
         *([] if prior.one_delay else _one_by_one(NumberKind.OWN_DELAY, layout, layout.delay, own_delays)),
     ]
 
@@ -184,6 +184,6 @@ def damping_bends(dataset: Dataset) -> list[NumberGroup]:
 def open_numbers(dataset: Dataset) -> list[NumberGroup]:
     """Bends and usual offsets, and the delay where logs of positions leave open how the command was held: a right file
     may differ."""
-    late = [group for group in _of_servos(dataset) if group.kind == NumberKind.DELAY]
+    delays = [group for group in _of_servos(dataset) if group.kind == NumberKind.DELAY]
     usual = [*damping_bends(dataset), *usual_offsets(dataset)]
-    return [*usual, *(late if dataset.servos is not None and dataset.servos.later else ())]
+    return [*usual, *(delays if dataset.servos is not None and dataset.servos.later else ())]

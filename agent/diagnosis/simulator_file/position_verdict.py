@@ -54,7 +54,7 @@ def _as_class(causes: Sequence[Cause]) -> list[Cause]:
     if not causes:
         return []
     leader, *others = causes
-    instead = [NamedEffect(other.effect, other.joints) for other in others]
+    equivalent = [NamedEffect(other.effect, other.joints) for other in others]
     if CATALOGUE[leader.effect].numbers == FileNumbers.DELAY:
-        instead.append(NamedEffect(NAMES[FileNumbers.FRICTION], leader.joints))
-    return [replace(leader, equivalent_to=tuple(dict.fromkeys((*leader.equivalent_to, *instead))))]
+        equivalent.append(NamedEffect(NAMES[FileNumbers.FRICTION], leader.joints))
+    return [replace(leader, equivalent_to=tuple(dict.fromkeys((*leader.equivalent_to, *equivalent))))]

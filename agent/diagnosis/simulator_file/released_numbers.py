@@ -185,10 +185,10 @@ def gained_parameters(released: ReleasedSimulator, group: NumberGroup) -> dict[s
 def delay_of(released: ReleasedSimulator, change: np.ndarray, group: NumberGroup) -> float:
     """The delay [s] of the joint of a group, by which a change (p,) differs from the file, or that of the arm."""
     assert released.given.servos is not None
-    late = change[released.given.servos.layout.delay]
-    own = [other.joint for other in released.groups if other.kind == NumberKind.OWN_DELAY]
-    of_arm = np.setdiff1d(np.arange(len(late)), own)
-    return float(late[group.joint] if group.joint >= 0 else late[of_arm].mean() if len(of_arm) else late.mean())
+    delays = change[released.given.servos.layout.delay]
+    with_own = [other.joint for other in released.groups if other.kind == NumberKind.OWN_DELAY]
+    of_arm = np.setdiff1d(np.arange(len(delays)), with_own)
+    return float(delays[group.joint] if group.joint >= 0 else delays[of_arm].mean() if len(of_arm) else delays.mean())
 
 
 def gained_load(released: ReleasedSimulator) -> np.ndarray:

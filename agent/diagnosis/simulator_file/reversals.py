@@ -36,12 +36,12 @@ def with_reversals(dataset: Dataset) -> IdentifiedModel:
         shorter = [REVERSAL_TRAVELS[0] ** 2 / part for part in REVERSAL_TRAVELS[1:]]
         options = [term.reversal, *(Reversal("travel", float(p * travelled)) for p in (*shorter, *REVERSAL_TRAVELS))]
         share = dataset.robot.coupling[term.axle]
-        own = share != 0
+        driven = share != 0
         columns = []
         for reversal in options:
-            parts = [s.low_pass(np.outer(s.axles.direction(term.axle, reversal), share[own])) for s in signals]
-            columns.append(np.concatenate(parts) / dataset.fit.sigma[:, own])
-        target = (dataset.residual / dataset.fit.sigma)[:, own] + level * columns[0]
+            parts = [s.low_pass(np.outer(s.axles.direction(term.axle, reversal), share[driven])) for s in signals]
+            columns.append(np.concatenate(parts) / dataset.fit.sigma[:, driven])
+        target = (dataset.residual / dataset.fit.sigma)[:, driven] + level * columns[0]
         error = [_remaining_energy(target, column) for column in columns]
         best = int(np.argmin(error))
         if error[best] < (1 - LIMITS.least_gain) * error[0]:

@@ -102,13 +102,13 @@ def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[Servo
     assert dataset.servos is not None
     groups = drive_groups(dataset, explanation.released.parts)
     drives = [*groups, *(group for group in explanation.released.groups if group.moves_links)]
-    about = servo_numbers(dataset, drives, dataset.servos.fitted).table
+    linear_at = servo_numbers(dataset, drives, dataset.servos.fitted).table
 
     def form(numbers: np.ndarray) -> np.ndarray:
         if not over_gain:
             return numbers
-        ratios, change = _over_gain(about), numbers - about
-        moved = (change - ratios * change[_GAIN]) / np.maximum(about[_GAIN], _LEAST_GAIN)
+        ratios, change = _over_gain(linear_at), numbers - linear_at
+        moved = (change - ratios * change[_GAIN]) / np.maximum(linear_at[_GAIN], _LEAST_GAIN)
         return np.where(_SCALES, ratios + moved, numbers)
 
     values = servo_numbers(dataset, explanation.released.groups, fit.fitted()[0]).table
@@ -150,13 +150,13 @@ def differing_causes(explanation: Explanation, causes: Sequence[Cause]) -> list[
     def differs(cause: Cause) -> bool:
         numbers = CATALOGUE[cause.effect].numbers
         kinds = _NUMBERS_OF.get(numbers, ())
-        known = []
+        agreeing = []
         for joint in map(names.index, cause.joints or names):
             open_gain = joint in doubtful
             holding = (ratios_agree if open_gain else agree)[:, joint]
             of_joint = _RATIOS if open_gain and numbers == FileNumbers.GAIN else kinds
-            known += [bool(holding[KINDS.index(kind)]) for kind in of_joint]
-        return not known or not all(known)
+            agreeing += [bool(holding[KINDS.index(kind)]) for kind in of_joint]
+        return not agreeing or not all(agreeing)
 
     return [cause for cause in causes if differs(cause)]
 
@@ -186,11 +186,11 @@ def servo_numbers(dataset: Dataset, groups: Sequence[NumberGroup], change: np.nd
     assert servos is not None
     moved = np.zeros(len(servos.file.kp))
     coefficients = _inverse(groups) @ change if groups else np.zeros(0)
-    at = 0
+    first = 0
     for group in groups:
         if group.kind == NumberKind.ROTOR:
-            moved[group.joint] = coefficients[at] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
-        at += group.directions.shape[1]
+            moved[group.joint] = coefficients[first] * group.scale[0] * dataset.robot.gear_ratios[group.joint] ** 2
+        first += group.directions.shape[1]
     moved_by_kind = {kind: change[place] for kind, place in servos.layout.of_numbers.items()}
     return ServoNumbers.of_table(servos.file.table + ServoNumbers(moved, **moved_by_kind).table)
 
@@ -207,8 +207,8 @@ def _deviations(
     moved = (servo_numbers(dataset, groups, column).table - base for column in np.eye(len(covariance)))
     slopes = np.stack([change.ravel() for change in moved], axis=1)
     of_numbers = slopes @ covariance @ slopes.T
-    own = np.sqrt(np.maximum(np.diag(of_numbers), 0.0))
-    step = np.where(own > 0, own, 1.0)
+    deviations = np.sqrt(np.maximum(np.diag(of_numbers), 0.0))
+    step = np.where(deviations > 0, deviations, 1.0)
     turned = [(form(free + row.reshape(free.shape)) - form(free)).ravel() for row in np.diag(step)]
     jacobian = np.stack(turned, axis=1) / step
     variance = np.einsum("ij,jk,ik->i", jacobian, of_numbers, jacobian)

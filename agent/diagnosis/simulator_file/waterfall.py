@@ -63,7 +63,7 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
     drawn = energy @ draws.T / (rows @ draws.T)  # (stages, draws)
 
     size, drawn = whole[0] - floor, drawn[:, drawn[0] > floor]
-    count, at, steps = len(texts), 0, []
+    count, first, steps = len(texts), 0, []
 
     def closing(begin: int, end: int) -> tuple[float, tuple[float, float]]:
         """Part of the gap that is closed between two stages, and its interval."""
@@ -71,12 +71,14 @@ def waterfall(released: ReleasedSimulator, selected: SelectedCauses, gap: HeldOu
         low, high = np.quantile(drawn_parts, LAW.interval)
         return float((whole[begin] - whole[end]) / size), (float(low), float(high))
 
-    while at < count:
-        ends = range(at + 1, count + 1)
-        end = next((end for end in ends if closing(at, end)[1][1] >= 0), count)
+    while first < count:
+        ends = range(first + 1, count + 1)
+        end = next((end for end in ends if closing(first, end)[1][1] >= 0), count)
         by_itself = float((whole[0] - whole[count + end]) / size)
-        steps.append(WaterfallStep(and_list(texts[at:end]), closing(at, end)[0], by_itself, closing(at, end)[1]))
-        at = end
+        steps.append(
+            WaterfallStep(and_list(texts[first:end]), closing(first, end)[0], by_itself, closing(first, end)[1])
+        )
+        first = end
     if len(steps) < count:
         steps = [replace(step, alone=None) for step in steps]
     closed, (low, high) = closing(0, count)
