@@ -53,9 +53,10 @@ def servo_table(explanation: Explanation) -> dict[str, Any]:
 
     The interval is the wider of the posterior's with all drives free, and of what leaving motions out, and halves of
     them, gives (delete-a-group jackknife), about the value and that with all drives free: a number that was left as
-    the file has it is no better known than one that was not. A joint whose gain positions do not tell has no numbers.
-    What is told of it, `servo_over_kp`, is there if any has none: damping [s], armature [s²] and friction [rad] over
-    kp.
+    the file has it is no better known than one that was not. Offsets are as large as the logs allow in their own
+    intervals, and as small as a right file's in those of the others. A joint whose gain positions do not tell has no
+    numbers. What is told of it, `servo_over_kp`, is there if any has none: damping [s], armature [s²] and friction
+    [rad] over kp.
 
     A simulation in steps of h does not tell more: a command arrives within ± h / 2, and damping d is worth ± h d / 2 of
     inertia, by whether it is implicit or explicit in it.
@@ -65,6 +66,8 @@ def servo_table(explanation: Explanation) -> dict[str, Any]:
     assert servos is not None
     doubtful = doubtful_gains(explanation)
     values, low, high = _intervals(explanation)
+    _, least, most = _intervals(explanation, large=[(NumberKind.OFFSET, joint) for joint in servos.prior.with_offset])
+    low, high = replace(low, offset=least.offset), replace(high, offset=most.offset)
     of_step = 0.5 * servos.simulation.step * values.damping
     low, high = replace(low, armature=low.armature - of_step), replace(high, armature=high.armature + of_step)
     table: dict[str, tuple[tuple[float, float, float] | None, ...]] = {}
@@ -92,15 +95,19 @@ def _possible(kind: str, value: float, low: float, high: float) -> tuple[float, 
     return float(value) + shift, max(float(low) + shift, least), float(high) + shift
 
 
-def _intervals(explanation: Explanation, over_gain: bool = False) -> tuple[ServoNumbers, ServoNumbers, ServoNumbers]:
+def _intervals(
+    explanation: Explanation, over_gain: bool = False, large: Sequence[tuple[NumberKind, int]] = ()
+) -> tuple[ServoNumbers, ServoNumbers, ServoNumbers]:
     """Value, low and high of the numbers, with all drives free and links that moved.
+
+    Offsets that were not moved are as small as a right file's, but for those that are `large`, by kind and joint.
 
     The delay's holds both ways in which the command may have been held. Numbers over the gain of their joint are
     x / k ≈ r + (Δx - r Δk) / k about those that the rows are linear about, so that any gain along them is one ratio.
     """
     dataset, fit = explanation.dataset, explanation.selected.fit
     assert dataset.servos is not None
-    groups = drive_groups(dataset, explanation.released.parts)
+    groups = drive_groups(dataset, {*explanation.released.parts, *large})
     drives = [*groups, *(group for group in explanation.released.groups if group.moves_links)]
     linear_at = servo_numbers(dataset, drives, dataset.servos.fitted).table
 
