@@ -20,7 +20,7 @@ from agent.diagnosis.document import (
     Rejected,
     TorqueGap,
 )
-from agent.diagnosis.gap.adequacy import Adequacy, remainders
+from agent.diagnosis.gap.adequacy import remainders
 from agent.diagnosis.gap.motion_gap import MotionGap
 from agent.diagnosis.gap.regime_shares import regimes, share_intervals
 from agent.diagnosis.gap.stuck_torque import StuckTorque
@@ -33,7 +33,7 @@ from agent.diagnosis.simulator_file.explanation import Explanation
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator
 from agent.diagnosis.simulator_file.servo_table import servo_table
 from agent.diagnosis.sizes import intervals
-from agent.diagnosis.verdict import Verdict, causes_of
+from agent.diagnosis.verdict import Verdict
 from agent.model import CATALOGUE, PAYLOAD
 from agent.robot import error_units, position_units
 
@@ -132,8 +132,7 @@ def build(
 
 def _with_figures(explanation: Explanation, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Causes with their part of the gap of the model as given, and whether their joints slide."""
-    adequacy = Adequacy.of(explanation.selected, explanation.as_given)
-    figures = causes_of(explanation.dataset, explanation.selected, adequacy) if explanation.of_file else ()
+    figures = explanation.causes_as_given if explanation.of_file else ()
     by_cause = {(cause.effect, cause.joints): cause for cause in figures}
     same = [by_cause.get((cause.effect, cause.joints), cause) for cause in causes]
     sliding = {joint.name for joint in explanation.dataset.robot.joints if joint.prismatic}

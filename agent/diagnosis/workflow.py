@@ -121,9 +121,7 @@ def _verdict(explanation: Explanation, motion: MotionGap | None) -> Verdict:
     path = None if motion is None else motion.causes(of_path)
     judged = not np.any(dataset.open_joints & dataset.fit.beyond_usual(gap.rmse_before))
     verdict = decide_verdict(selected, causes, adequacy.explained_part, path, numbers, as_given.closure or 0.0, judged)
-    if not explanation.of_file:
-        return verdict
-    return with_numbers(verdict, causes_of(dataset, selected, Adequacy.of(selected, as_given)), numbers)
+    return with_numbers(verdict, explanation.causes_as_given, numbers) if explanation.of_file else verdict
 
 
 def check_effects(names: Sequence[str]) -> None:

@@ -21,7 +21,11 @@ from agent.diagnosis.rows.fit import Fit
 
 
 class Evidence(Score):
-    """Scores of hypotheses, and the information of the logs on what they do not contain."""
+    """Scores of hypotheses, and the information of the logs on what they do not contain.
+
+    It is a score with further questions: each is put to the columns, scales and moments of one, and whoever compares
+    hypotheses asks both.
+    """
 
     def shortlist_gains(self, base: EvaluatedHypothesis) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return about what each candidate of the pool adds to the log evidence of a hypothesis, and its parameters.
@@ -120,9 +124,11 @@ class Evidence(Score):
         total = np.zeros((int(ends[-1]),) * 2)
         for j in range(self.dof):
             on_joint = [number for number, candidate in enumerate(candidates) if j in candidate.blocks]
-            index = np.concatenate([self._index[j], *(np.arange(ends[k], ends[k + 1]) for k in on_joint)]).astype(int)
+            index = np.concatenate(
+                [self.parameter_index[j], *(np.arange(ends[k], ends[k + 1]) for k in on_joint)]
+            ).astype(int)
             variance = self.noise.variance(j, float(scales[j]), 0.0, {})
-            joint = self._joint(j, float(scales[j]), variance, tuple(numbers[k] for k in on_joint), index)
+            joint = self.moments_of_joint(j, float(scales[j]), variance, tuple(numbers[k] for k in on_joint), index)
             total[np.ix_(index, index)] += joint.reduced[:-1, :-1]
         return total
 

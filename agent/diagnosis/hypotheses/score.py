@@ -96,9 +96,9 @@ class Score:
         self.pool = CandidatePool(noise)
         rounds = _ROUNDS + 1  # in which the scales are fitted
         self._moments = lru_cache(maxsize=rounds * self.dof)(self.pool.moments)
-        self._index, self._prior_information = list(fit.parameter_index), fit.prior_information
+        self.parameter_index, self._prior_information = list(fit.parameter_index), fit.prior_information
         self._friction = _varying_friction(fit)
-        self._friction_columns = [np.flatnonzero(np.isin(index, self._friction)) for index in self._index]
+        self._friction_columns = [np.flatnonzero(np.isin(index, self._friction)) for index in self.parameter_index]
         self.prior = _prior_with_daily_friction(fit, self._friction, law.daily)
         self._log_prior = float(np.linalg.slogdet(self.prior)[1])
         residual = np.stack([columns[:, -1] for columns in noise.columns], axis=1) * noise.sigma / noise.nominal
@@ -268,9 +268,10 @@ class Score:
         prior = (1 - law.unlikely) / len(CATALOGUE) / self.dof
         return float(np.log(sure / (1 - sure) / prior))
 
-    def _joint(
+    def moments_of_joint(
         self, j: int, scale: float, variance: float, effects: tuple[int, ...], index: np.ndarray
     ) -> JointMoments:
+        """Joint j with some effects, whose parameters are at `index`, and with the noise model integrated out."""
         square, cross, noise = self._moments(j, effects)
         root = NoiseRoot.of(noise, self.noise.shared_count(j), scale, variance)
         half = root.solved(cross) / scale
@@ -300,9 +301,11 @@ class Score:
                 joint = null.joint_moments[j]
             else:
                 spans = [np.arange(ends[place], ends[place + 1]) for place in here]
-                index = np.concatenate([self._index[j], *spans]).astype(int)
+                index = np.concatenate([self.parameter_index[j], *spans]).astype(int)
                 variance = self.noise.variance(j, float(scales[j]), float(form_energy[j]), uncatalogued_sizes)
-                joint = self._joint(j, float(scales[j]), variance, tuple(effects[place] for place in here), index)
+                joint = self.moments_of_joint(
+                    j, float(scales[j]), variance, tuple(effects[place] for place in here), index
+                )
             precision[np.ix_(joint.parameter_index, joint.parameter_index)] += joint.reduced[:-1, :-1]
             side[joint.parameter_index] += joint.reduced[:-1, -1]
             joints.append(joint)

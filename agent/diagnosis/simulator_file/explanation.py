@@ -22,7 +22,8 @@ from functools import cached_property, partial
 import numpy as np
 
 from agent.core import InputError
-from agent.diagnosis.document import WaterfallStep
+from agent.diagnosis.document import Cause, WaterfallStep
+from agent.diagnosis.gap.adequacy import Adequacy
 from agent.diagnosis.gap.torque_gap import HeldOutGap, held_out_gap, rms
 from agent.diagnosis.hypotheses.evidence import Evidence
 from agent.diagnosis.hypotheses.law import LAW
@@ -36,7 +37,7 @@ from agent.diagnosis.simulator_file.parameter_groups import NumberKind
 from agent.diagnosis.simulator_file.released_numbers import ReleasedSimulator, release, release_all
 from agent.diagnosis.simulator_file.reversals import with_reversals
 from agent.diagnosis.simulator_file.waterfall import waterfall
-from agent.diagnosis.verdict import keep_supported, name_causes
+from agent.diagnosis.verdict import causes_of, keep_supported, name_causes
 from agent.estimation import FilterSettings, resolve_cutoff
 from agent.model import BELOW_ZERO, CATALOGUE, FileNumbers, IdentifiedModel
 from agent.recording import Log
@@ -89,6 +90,11 @@ class Explanation:
     def evidence(self) -> Evidence:
         """The evidence of the logs on all parameters of the model; that of the search is on those that moved."""
         return Evidence(self.released.given.fit, self.search.usual)
+
+    @cached_property
+    def causes_as_given(self) -> tuple[Cause, ...]:
+        """The causes, with their parts of that gap."""
+        return causes_of(self.dataset, self.selected, Adequacy.of(self.selected, self.as_given))
 
     @cached_property
     def steps(self) -> tuple[WaterfallStep, ...]:

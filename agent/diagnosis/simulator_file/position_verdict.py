@@ -29,7 +29,8 @@ def verdict_on_positions(explanation: Explanation) -> Verdict:
     names, released = dataset.robot.joint_names, explanation.released
     with_remainder = {names.index(part.joint) for part in remainders(dataset, explanation.gap)}
     numbers = causes_of_numbers(released, selected, gap, doubtful_gains(explanation), with_remainder)
-    sizes = (causes_of(dataset, selected, Adequacy.of(selected, of)) for of in (gap, explanation.gap))
+    beyond = causes_of(dataset, selected, Adequacy.of(selected, explanation.gap))
+    sizes = explanation.causes_as_given, beyond
     effects = [as_given for as_given, beyond_numbers in zip(*sizes, strict=True) if has_size(beyond_numbers)]
     errs = selected.fit.beyond_usual(gap.rmse_before)
     where_it_errs = [
