@@ -34,19 +34,18 @@ class EncoderOffset(Effect):
     leading = ("offset",)
     numbers = FileNumbers.ZERO
     experiment = WHOLE_RANGE
-    residual_driven = True
     not_reported = (_SECANT,)
     nonlinear = ()
 
     def settings(self, context: FitContext, joints: Joints) -> list[dict[str, float]]:
-        """The secant to the fitted offset, by Newton's steps where torque bends over it."""
-        secant = BENDS
+        """The tangent, which misses 5 % of half the travel over which torque bends, or the secant to a larger one."""
+        settings: dict[str, float] = {}
         for _ in range(2):
-            offset = float(context.fit(self, joints, {_SECANT: secant})[0])
-            secant = float(np.copysign(np.clip(abs(offset), 1e-6, np.pi), offset))
-            if abs(secant) < BENDS:
-                break
-        return [{_SECANT: secant}]
+            offset = float(context.fit(self, joints, settings)[0])
+            if abs(offset) < BENDS / 2:
+                return [{}]
+            settings = {_SECANT: float(np.clip(offset, -np.pi, np.pi))}
+        return [settings]
 
     def columns(self, signals: MotionSignals, joints: Joints, settings: Numbers) -> Columns:
         (k,) = joints
