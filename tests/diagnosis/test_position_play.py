@@ -49,7 +49,7 @@ def test_play_shows_where_the_load_turns_and_not_under_a_weight_that_holds_one_f
 
 
 def test_a_servo_that_hunts_in_a_play_is_named_where_it_reads_the_link(tmp_path):
-    write({"truth": TRUTH, "folder": str(tmp_path), "seconds": 8.0})
+    write({"truth": TRUTH, "folder": str(tmp_path), "seconds": 16.0})
     answer = diagnose_run(tmp_path)
     assert answer["causes"], answer["verdict"]
     assert among(class_of(answer["causes"][0]), TRUTH["effects"])
