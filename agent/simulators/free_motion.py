@@ -220,12 +220,11 @@ class FreeSimulator:
         loaded.model = model
         return loaded
 
-    def holding(self, joints: np.ndarray) -> FreeSimulator:
-        """The same arm whose friction holds some stationary `joints` (n,) bool as real friction does, where MuJoCo's
-        gives way."""
+    def holding(self) -> FreeSimulator:
+        """The same arm whose friction holds a stationary joint as real friction does, where MuJoCo's gives way."""
         firm, model = copy(self), copy(self.model)
-        model.dof_solimp[self._dof[joints], 0] = self._mujoco.mjMAXIMP
-        model.dof_solref[self._dof[joints]] = 2 * self.step, 1.0  # stops within a step
+        model.dof_solimp[self._dof, 0] = self._mujoco.mjMAXIMP
+        model.dof_solref[self._dof] = 2 * self.step, 1.0  # stops within a step
         firm.model, firm.arm = model, replace(self.arm, impedance=np.array(model.dof_solimp[self._dof, 0]))
         firm.__dict__.pop("creep", None)
         return firm

@@ -342,7 +342,7 @@ def test_the_linear_response_is_the_change_of_the_simulated_motion(source, holds
     log = recorded(source, 1)
     simulator = load_simulator(source, None, log.joint_names, None)
     free, (stretch,) = FreeSimulator(simulator.arm), stretches_of([log], held=True)
-    free = free.holding(np.ones(len(free.numbers.kp), dtype=bool)) if holds else free
+    free = free.holding() if holds else free
     motion = stretch.run(free, free.numbers)
     line = stretch.linearised(free, free.numbers, motion, NominalModel(simulator.model))
     columns = line.number_columns(free, free.numbers)
@@ -387,8 +387,7 @@ def test_a_simulation_in_steps_moves_as_an_arm_that_has_none(source, tmp_path):
             path = tmp_path / f"{number}_{step}.xml"
             path.write_text(text.replace('timestep="0.002"', f'timestep="{step}"'), encoding="utf-8")
             names = log.joint_names[: 2 - number]
-            free = FreeSimulator(load_simulator(path, None, names, None).arm)
-            free = free.holding(np.ones(len(names), dtype=bool))
+            free = FreeSimulator(load_simulator(path, None, names, None).arm).holding()
             n = len(names)
             command = RecordedCommand(log.t, log.reference_position[:, :n], True)
             heavy = replace(free.numbers, armature=free.numbers.armature * 2, damping=free.numbers.damping * 3)

@@ -202,15 +202,6 @@ def _simplest(fit: OutputErrorFit, progress: Callable[[str], None], known_kp: bo
         of_start = replace(start.problem, parameters=parameters)
         return fit_output_error(of_start, numbers, progress, load=start.load, **how)
 
-    def held(start: OutputErrorFit) -> OutputErrorFit:
-        """Where friction holds the joints that gain by it: others have presliding, which soft friction imitates."""
-        joints = np.ones(n, dtype=bool)
-        firm = fitted(replace(start, simulator=start.simulator.holding(joints)), start.numbers, free, gained=_ROUGH)
-        if not (joints := _gains(start, firm) > _by_chance(1)).all():
-            some = replace(start, simulator=start.simulator.holding(joints))
-            firm = fitted(some, start.numbers, free, gained=_ROUGH)
-        return firm
-
     loaded = fitted(fit, replace(file, delay=fit.numbers.delay), ["load"], gained=_ROUGH)
     if np.mean(np.log(loaded.rmse / fit.rmse)) < np.log(LIMITS.usual_error):
         loaded = fitted(loaded, loaded.numbers, ["load"])
@@ -218,9 +209,8 @@ def _simplest(fit: OutputErrorFit, progress: Callable[[str], None], known_kp: bo
     best, free = (loaded, ["load"]) if carries else (fit, [] if known_kp else ["kp"])
     further = [kind for kind in count if kind not in free and not (known_kp and kind == "kp")]
     while further:
-        tried = {kind: fitted(best, best.numbers, [*free, kind], gained=_ROUGH) for kind in further if kind != _HOLDS}
-        if _HOLDS in further:
-            tried[_HOLDS] = held(best)
+        starts = {kind: best for kind in further} | {_HOLDS: replace(best, simulator=best.simulator.holding())}
+        tried = {kind: fitted(starts[kind], best.numbers, [*free, kind], gained=_ROUGH) for kind in further}
         beyond = {kind: float(_gains(best, other).sum()) - _by_chance(count[kind]) for kind, other in tried.items()}
         if "delay" in tried and np.ptp(tried["delay"].numbers.delay) <= fit.simulator.step:
             beyond["delay"] = -np.inf  # a simulation in such steps does not tell
@@ -302,11 +292,10 @@ def _about(fit: OutputErrorFit, how: str, later: float, impedance: np.ndarray) -
             f"bodies of {name} reach into each other where the arm was recorded ({_listed(pairs)}): it is simulated "
             "without these contacts (exclude in a corrected file)"
         )
-    arm = fit.simulator.arm
-    if holding := [joint for joint, firm in zip(arm.joint_names, arm.impedance > impedance, strict=True) if firm]:
+    if np.any(fit.simulator.arm.impedance > impedance):
         warnings.append(
-            f"friction of {name} is soft, as MuJoCo's is by default: it lets a stationary joint creep. That of "
-            f"{', '.join(holding)} holds on the arm, and is simulated so (solimpfriction of a corrected file)"
+            f"friction of {name} is soft, as MuJoCo's is by default: it lets a stationary joint creep. The arm's "
+            "holds, and is simulated so (solimpfriction of a corrected file)"
         )
     if lost := lost_frames(fit.stretches, fit.residuals):
         warnings.append(

@@ -193,7 +193,8 @@ def _line(
         FreeSimulator(replace(simulator.arm, model=servos.simulation.arm.model)),
         np.append(set_points[0], np.zeros(set_points.shape[1])),
     )
-    free = free.holding(servos.simulation.arm.impedance > simulator.arm.impedance)
+    if np.any(servos.simulation.arm.impedance > simulator.arm.impedance):
+        free = free.holding()
     command = RecordedCommand(time, set_points, True)
     stretch = CommandedStretch(len(diagnosis.dataset.logs), time, set_points, command, begins)
     motion = stretch.run(free, numbers)
