@@ -157,18 +157,18 @@ def _warnings(explanation: Explanation, verdict: Verdict) -> Iterator[str]:
             "explains it; compared with a usual simulator it is largest on "
             f"{names[int(np.argmax(gap.rmse_after / usual))]}"
         )
-    if not explanation.of_file and dataset.has_reference and not selected.causes and not dataset.open_joints.any():
-        if (absorbed := explanation.gap.absorbed) > 1 - LIMITS.explained:
-            yield (
-                f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
-                "uncertainty: estimate it again with motions like these"
-            )
-        if _large_error(explanation):
-            error = dataset.fit.error_ratio(gap.rmse_before)
-            yield (
-                f"the error of {names[int(error.argmax())]} is {error.max():.1f} times the model's own, which may "
-                "differ from day to day on a healthy arm: record more logs, or estimate the model again"
-            )
+    unnamed = not explanation.of_file and dataset.has_reference and not selected.causes
+    if unnamed and not dataset.open_joints.any() and (absorbed := explanation.gap.absorbed) > 1 - LIMITS.explained:
+        yield (
+            f"the model's own parameters explain {100 * absorbed:.0f} % of the squared error within their "
+            "uncertainty: estimate it again with motions like these"
+        )
+    if _large_error(explanation):
+        error = dataset.fit.error_ratio(gap.rmse_before)
+        yield (
+            f"the error of {names[int(error.argmax())]} is {error.max():.1f} times the model's own, which may differ "
+            "from day to day on a healthy arm: record more logs, or estimate the model again"
+        )
     for log in dataset.logs if verdict.name == "unknown" else ():
         if load := log.metadata.get(PAYLOAD):
             yield f"{log.name} says that {load} were at the flange: if they were not, the gap may be that"

@@ -58,6 +58,14 @@ def keeps_its_promises(verdict, told_causes, closure) -> bool:
     return True
 
 
+@pytest.mark.parametrize("zero_known", [False, True])
+def test_a_log_with_the_drives_off_is_said_in_words_and_by_its_key(zero_known):
+    equal = (NamedEffect("asymmetric_friction", ("joint_2",)),)
+    cause = Cause("torque_offset", ("joint_2",), 0.9, 0.9, {"offset": 1.0}, equal)
+    following = next_experiment((cause,), "ambiguous", (), zero_known)
+    assert ("--drives-off" in following.motion) is following.drives_off is not zero_known
+
+
 @given(st.booleans(), several, closures, st.one_of(st.none(), several), several, st.floats(0, 3))
 def test_a_verdict_meets_its_contract(leaves_gap, found, closure, path, numbers, by_numbers):
     """With causes, another path and moved numbers; each counts only where those before it explain nothing."""

@@ -239,9 +239,8 @@ def _nearest(fit: OutputErrorFit, numbers: ServoNumbers) -> float:
     narrower = widest_lag(fit.stretches) * _NARROWER ** np.arange(1, _CUTS)
     best, least = np.inf, error(np.inf)
     for nearest in narrower[narrower >= _nearest_cut(fit.stretches)].tolist():
-        if (
-            here := error(nearest)
-        ) > LIMITS.equal_ratio**2 * least:  # the error falls towards a cut, and rises beyond it
+        here = error(nearest)
+        if here > LIMITS.equal_ratio**2 * least:  # the error falls towards a cut, and rises beyond it
             break
         best, least = (nearest, here) if here < least else (best, least)
     return best

@@ -162,8 +162,9 @@ def test_an_error_that_only_a_usual_change_explains_is_said_although_nothing_is_
         replace(log, effort=log.effort + 0.05 * model.predict_parts(log.position, log.velocity, 0 * log.position)[1])
         for log in healthy
     ]
-    said = ["; ".join(diagnose(arm, logs, model).warnings) for logs in (healthy, warmer)]
-    assert ["times the model's own" in one for one in said] == [False, True]
+    both = [diagnose(arm, logs, model) for logs in (healthy, warmer)]
+    assert ["times the model's own" in "; ".join(each.warnings) for each in both] == [False, True]
+    assert [each.document.large_error for each in both] == [False, True]
 
 
 def test_an_explained_path_gap_is_not_a_torque_gap(healthy, model, arm):
